@@ -35,7 +35,7 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import rest_size
 
 # Minimum size of a spike, relative to the typical change of speed around it.
-SPIKE_FACTOR = 5.0
+SPIKE_ROUGHNESS_RATIO = 5.0
 # Frames on either side for estimating roughness.
 ROUGHNESS_FRAMES = 8
 # Minimum size of a spike: a fraction of the rig's size, and a quaternion component.
@@ -49,18 +49,18 @@ BRIDGE_CUTOFF = 0.2
 # Noise of good captures is below this [rad].
 TYPICAL_NOISE = math.radians(0.2)
 # A cut-off that removes more of the power of the motion than this is too low.
-MAX_REMOVED = 0.5
+MAX_REMOVED_POWER = 0.5
 # A change of more than this many times the noise is motion.
-NOISE_FACTOR = 5.0
+MOTION_NOISE_RATIO = 5.0
 MAX_LISTED_JOINTS = 6
 
 
 @dataclass(frozen=True, slots=True)
 class CleanedSignal:
-    """Spikes, noise and cut-off frequency of a joint's translations or rotations."""
+    """Spikes, noise and filter of one joint's translations or rotations."""
 
     joint: str
-    rotation: bool  # whether the signal is rotations, not translations
+    is_rotation: bool  # whether the signal is rotations, not translations
     spikes: tuple[int, ...]  # frames that were replaced, ascending
     noise: float  # standard deviation before filtering [m] or [rad]
     cutoff: float | None  # cut-off frequency [Hz]; None if not filtered
@@ -71,18 +71,18 @@ class CleanedSignal:
     @property
     def name(self) -> str:
         """Name of the joint and its channel, such as ``hips rotation``."""
-        return f"{self.joint} {'rotation' if self.rotation else 'translation'}"
+        return f"{self.joint} {'rotation' if self.is_rotation else 'translation'}"
 
     def text(self, value: float) -> str:
-        """Return the text of a value in the signal's unit: an angle or a length."""
-        if self.rotation:
+        """Format a value in [rad] or [m] as an angle or a length, as the signal has."""
+        if self.is_rotation:
             return angle_text(math.degrees(value))
         return length_text(value)
 
 
 @dataclass(slots=True)
 class _JointCleaner:
-    """Cleans the channels of a take, joint by joint."""
+    """Cleans the channels of a take joint by joint, and collects `CleanedSignal`s."""
 
     names: tuple[str, ...]
     rate: float
@@ -95,27 +95,29 @@ class _JointCleaner:
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
-            spikes = self.options.spikes
-            is_spike = _spike_frames(signal, spikes, min_size, rotation=is_rotation)
+            longest = self.options.spikes
+            is_spike = _find_spikes(signal, longest, min_size, is_rotation=is_rotation)
             if is_spike.any():
-                signal = bridge_gaps(signal, ~is_spike, rotation=is_rotation)
+                signal = bridge_gaps(signal, ~is_spike, is_rotation=is_rotation)
             noise = (rotation_noise if is_rotation else noise_level)(signal)
             # A quaternion contains half the angle.
             tolerance = noise / 2 if is_rotation else noise
             is_noisy = tolerance > NEGLIGIBLE_NOISE * min_size
             cutoff = (
-                self._choose_cutoff(signal, rotation=is_rotation) if is_noisy else None
+                self._choose_cutoff(signal, is_rotation=is_rotation)
+                if is_noisy
+                else None
             )
-            frames = tuple(np.flatnonzero(is_spike).tolist())
+            spike_frames = tuple(np.flatnonzero(is_spike).tolist())
             cleaned_signal = CleanedSignal(
-                self.names[joint], is_rotation, frames, noise, cutoff
+                self.names[joint], is_rotation, spike_frames, noise, cutoff
             )
             if cutoff is not None:
                 lowpass_filter = lowpass_rotations if is_rotation else lowpass
                 filtered_signal = lowpass_filter(signal, cutoff, self.rate)
                 if self.options.cutoff is not None:
                     mean = signal.mean(axis=0)
-                    if cleaned_signal.rotation:
+                    if cleaned_signal.is_rotation:
                         deviation = so3.angle_between(signal, so3.normalize(mean))
                         change = so3.angle_between(signal, filtered_signal)
                     else:
@@ -132,80 +134,82 @@ class _JointCleaner:
             self.signals.append(cleaned_signal)
         return replace(channel, values=values).compact()
 
-    def _choose_cutoff(self, signal: FloatArray, *, rotation: bool) -> float | None:
+    def _choose_cutoff(self, signal: FloatArray, *, is_rotation: bool) -> float | None:
         """Return the cut-off frequency of a signal [Hz]; None leaves it unfiltered."""
         if self.options.keep_noise or is_above_nyquist(self.options, self.rate):
             return None
         if self.options.cutoff is not None:
             return self.options.cutoff
-        return find_best_cutoff(signal, self.rate, is_rotation=rotation)
+        return find_best_cutoff(signal, self.rate, is_rotation=is_rotation)
 
 
 def is_above_nyquist(options: CleanOptions, rate: float) -> bool:
-    """Return whether a cut-off is at or above half the frame rate."""
+    """Return whether the chosen cut-off is at or above half the frame rate [Hz]."""
     return options.cutoff is not None and options.cutoff >= rate / 2
 
 
 def bridge_gaps(
-    signal: FloatArray, is_known: BoolArray, *, rotation: bool
+    signal: FloatArray, is_known: BoolArray, *, is_rotation: bool
 ) -> FloatArray:
-    """Return a signal ``(F, K)`` with unknown frames interpolated."""
-    if rotation:
+    """Fill unknown frames of a signal ``(F, K)`` by a low-pass filter of the others."""
+    if is_rotation:
         rotations = signal.copy()
         rotations[is_known] = so3.align_signs(signal[is_known], signal[is_known][0])
         signal = rotations
-    lowpass_filter = lowpass_rotations if rotation else lowpass
-    bridged = lowpass_filter(signal, BRIDGE_CUTOFF, 1.0, order=3, is_valid=is_known)
-    return np.where(is_known[:, None], signal, bridged)
+    lowpass_filter = lowpass_rotations if is_rotation else lowpass
+    bridge_signal = lowpass_filter(
+        signal, BRIDGE_CUTOFF, 1.0, order=3, is_valid=is_known
+    )
+    return np.where(is_known[:, None], signal, bridge_signal)
 
 
-def _spike_frames(
-    signal: FloatArray, max_length: int, min_size: float, *, rotation: bool
+def _find_spikes(
+    signal: FloatArray, longest: int, min_size: float, *, is_rotation: bool
 ) -> BoolArray:
-    """Return a mask ``(F,)`` of the frames of a signal ``(F, K)`` within a spike."""
+    """Return a mask ``(F,)`` of the frames of a signal ``(F, K)`` in a spike."""
     is_spike = np.zeros(len(signal), np.bool_)
-    for _ in range(MAX_SPIKE_SEARCHES if max_length else 0):
-        spikes = np.zeros_like(is_spike)
-        threshold = SPIKE_FACTOR * _roughness(signal) + min_size
-        for length, size in _run_deviations(signal, max_length, rotation=rotation):
+    for _ in range(MAX_SPIKE_SEARCHES if longest else 0):
+        is_new_spike = np.zeros_like(is_spike)
+        threshold = SPIKE_ROUGHNESS_RATIO * _roughness(signal) + min_size
+        for length, size in _run_deviations(signal, longest, is_rotation=is_rotation):
             # A long spike also looks like a short one in its middle.
             for first in np.flatnonzero(size > threshold[2 : 2 + len(size)]).tolist():
                 span = slice(first + 2, first + 2 + length)
-                if not spikes[span.start - 1 : span.stop + 1].any():
-                    spikes[span] = True
-        if not spikes.any() or (is_spike | spikes).mean() > 0.5:
+                if not is_new_spike[span.start - 1 : span.stop + 1].any():
+                    is_new_spike[span] = True
+        if not is_new_spike.any() or (is_spike | is_new_spike).mean() > 0.5:
             break
-        is_spike |= spikes
-        signal = bridge_gaps(signal, ~is_spike, rotation=rotation)
+        is_spike |= is_new_spike
+        signal = bridge_gaps(signal, ~is_spike, is_rotation=is_rotation)
     return is_spike
 
 
 def _run_deviations(
-    signal: FloatArray, max_length: int, *, rotation: bool
+    signal: FloatArray, longest: int, *, is_rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Yield the length of runs, and the deviations of the runs from frame 2 on."""
-    for run in range(max_length, 0, -1):
-        count = len(signal) - run - 3
+    """Yield each run length, and the least deviations of its runs from frame 2 on."""
+    for length in range(longest, 0, -1):
+        count = len(signal) - length - 3
         if count < 1:
             continue
-        shifts = [signal[k : k + count] for k in range(run + 4)]
-        if rotation:  # sign flips after a spike are not rotation
-            aligned_pairs = (run + 2, 1), (run + 3, run + 2), (2, 1), (run + 1, run + 2)
-            for k, reference in aligned_pairs:
-                shifts[k] = so3.align_to(shifts[k], shifts[reference])
-        before, after = shifts[1], shifts[run + 2]
-        forward, backward = 2 * before - shifts[0], 2 * after - shifts[run + 3]
-        step = (after - before) / (run + 1)
+        windows = [signal[k : k + count] for k in range(length + 4)]
+        if is_rotation:  # sign flips after a spike are not rotation
+            last = length + 2
+            for k, reference in (last, 1), (last + 1, last), (2, 1), (last - 1, last):
+                windows[k] = so3.align_to(windows[k], windows[reference])
+        before, after = windows[1], windows[length + 2]
+        forward, backward = 2 * before - windows[0], 2 * after - windows[length + 3]
+        step = (after - before) / (length + 1)
         sizes = []
         for difference, deviation in (
-            (shifts[2] - forward, shifts[2] - before - step),
-            (shifts[run + 1] - backward, shifts[run + 1] - after + step),
+            (windows[2] - forward, windows[2] - before - step),
+            (windows[length + 1] - backward, windows[length + 1] - after + step),
         ):
             distance = np.linalg.norm(deviation, axis=-1)
             divisor = np.where(distance > 0, distance, 1)
             projection = np.sum(difference * deviation, axis=-1) / divisor
             sizes += [distance, projection]
-        yield run, np.min(sizes, axis=0)
+        yield length, np.min(sizes, axis=0)
 
 
 def _roughness(signal: FloatArray) -> FloatArray:
@@ -255,14 +259,14 @@ def clean(
 
 
 def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
-    """Return a cleaned take, and the cleaning results of the joints that move."""
+    """Remove spikes and noise from a take; return it, and a result for each signal."""
     motion = take.motion
     cleaner = _JointCleaner(tuple(take.rig.names), float(take.clock.rate), options)
     min_shift = MIN_SPIKE_SHIFT * rest_size(take.rig)
     translations = cleaner.clean_channel(motion.translations, min_shift)
     rotations = cleaner.clean_channel(motion.rotations, MIN_SPIKE_ROTATION)
-    dense = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
-    rotations = replace(rotations, values=dense)
+    values = so3.align_signs(rotations.values, rotations.rest[rotations.animated])
+    rotations = replace(rotations, values=values)
     motion = replace(motion, translations=translations, rotations=rotations)
     return replace(take, motion=motion), cleaner.signals
 
@@ -270,7 +274,7 @@ def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSig
 def cleaning_notices(
     take: Take, signals: list[CleanedSignal], options: CleanOptions
 ) -> list[Fault]:
-    """Return notices about a cleaned take."""
+    """Return a note on what was cleaned, and warnings about cut-offs (CAP101-106)."""
     if (
         take.clock.count <= NOISE_ORDER
         and not options.keep_noise
@@ -281,7 +285,7 @@ def cleaning_notices(
         return [warning("CAP102", message)]
     joints_with_spikes = sorted({s.joint for s in signals if s.spikes})
     filtered_signals = [s for s in signals if s.cutoff is not None]
-    faults, signal_parts, rate = [], [], float(take.clock.rate)
+    notices, summaries, rate = [], [], float(take.clock.rate)
     if is_above_nyquist(options, rate) and not options.keep_noise:
         message = (
             f"a cut-off of {options.cutoff:g} Hz removes nothing from a take at "
@@ -290,56 +294,59 @@ def cleaning_notices(
         )
         hint = f"set {argument('cutoff')} below {rate / 2:g}; 6 Hz suits most body "
         hint += "motion"
-        faults.append(warning("CAP106", message, hint))
-    worst = _removed_motion(filtered_signals)
-    if worst is not None:
+        notices.append(warning("CAP106", message, hint))
+    worst_signal = _most_changed_signal(filtered_signals)
+    if worst_signal is not None:
         message = (
             f"a cut-off of {options.cutoff:g} Hz removes motion, not only noise: "
-            f"{worst.name} changes by up to {worst.text(worst.max_change)}, its "
-            f"noise is {worst.text(worst.noise)}"
+            f"{worst_signal.name} changes by up to "
+            f"{worst_signal.text(worst_signal.max_change)}, its "
+            f"noise is {worst_signal.text(worst_signal.noise)}"
         )
         hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"
-        faults.append(warning("CAP106", message, hint))
+        notices.append(warning("CAP106", message, hint))
     if joints_with_spikes:
         frames = sum(len(s.spikes) for s in signals)
         names = listed(joints_with_spikes, MAX_LISTED_JOINTS)
-        signal_parts.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
+        summaries.append(f"{counted(frames, 'frame')} of spikes replaced ({names})")
     if filtered_signals:
-        signal_parts.append(_cutoff_text(filtered_signals, len(signals)))
-    if signal_parts:
-        faults.append(Fault("CAP101", "; ".join(signal_parts), severity=Severity.NOTE))
-    return faults
+        summaries.append(_cutoff_text(filtered_signals, len(signals)))
+    if summaries:
+        notices.append(Fault("CAP101", "; ".join(summaries), severity=Severity.NOTE))
+    return notices
 
 
-def _removed_motion(signals: list[CleanedSignal]) -> CleanedSignal | None:
-    """Return the signal that the filter changes most, or None if most motion is kept.
+def _most_changed_signal(signals: list[CleanedSignal]) -> CleanedSignal | None:
+    """Return the signal that a filter changes most if it removes motion; else None.
 
     Only rotations are compared if there are any, since the root often moves slowly.
     """
-    signals = [s for s in signals if s.rotation] or signals
-    affected = [s for s in signals if s.change > NOISE_FACTOR * s.noise]
-    removed_power = sum(s.change**2 for s in affected)
-    if not affected or removed_power <= MAX_REMOVED * sum(s.motion**2 for s in signals):
+    signals = [s for s in signals if s.is_rotation] or signals
+    changed_signals = [s for s in signals if s.change > MOTION_NOISE_RATIO * s.noise]
+    removed_power = sum(s.change**2 for s in changed_signals)
+    total_power = sum(s.motion**2 for s in signals)
+    if not changed_signals or removed_power <= MAX_REMOVED_POWER * total_power:
         return None
-    return max(affected, key=lambda s: s.max_change)
+    return max(changed_signals, key=lambda s: s.max_change)
 
 
-def _cutoff_text(signals: list[CleanedSignal], count: int) -> str:
-    """Return text that states the range of cut-off frequencies and the noise."""
-    order = sorted(signals, key=lambda s: s.cutoff or 0.0)
-    lowest, highest = order[0], order[-1]
+def _cutoff_text(signals: list[CleanedSignal], signal_count: int) -> str:
+    """Return text on how many signals are filtered, their cut-offs and their noise."""
+    sorted_signals = sorted(signals, key=lambda s: s.cutoff or 0.0)
+    lowest, highest = sorted_signals[0], sorted_signals[-1]
     text = (
-        f"{len(signals)} of {counted(count, 'signal')} filtered, at "
+        f"{len(signals)} of {counted(signal_count, 'signal')} filtered, at "
         f"{lowest.cutoff:.3g} Hz ({lowest.joint}) to "
         f"{highest.cutoff:.3g} Hz ({highest.joint})"
     )
-    shift = max((s.noise for s in signals if not s.rotation), default=0.0)
-    noise = max((s.noise for s in signals if s.rotation), default=0.0)
-    return f"{text}; noise up to {length_text(shift)} and {math.degrees(noise):.2g} deg"
+    position_noise = max((s.noise for s in signals if not s.is_rotation), default=0.0)
+    angle_noise = max((s.noise for s in signals if s.is_rotation), default=0.0)
+    noise_text = f"{length_text(position_noise)} and {math.degrees(angle_noise):.2g}"
+    return f"{text}; noise up to {noise_text} deg"
 
 
-def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
-    """Return the noise scores of a take, and its cleaned joints, the worst first."""
+def noise_scores(frame_count: int, signals: list[CleanedSignal]) -> PassScores:
+    """Return a take's largest noise and spike fraction as scores, with joint names."""
     filtered_signals = sorted(
         (s for s in signals if s.cutoff is not None), key=lambda s: s.cutoff or 0.0
     )
@@ -347,8 +354,8 @@ def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
         (s for s in signals if s.spikes), key=lambda s: -len(s.spikes)
     )
     spike_frames = len({frame for s in signals for frame in s.spikes})
-    noises = (s.noise for s in signals if s.rotation)
-    shifts = (s.noise for s in signals if not s.rotation)
+    rotation_noises = (s.noise for s in signals if s.is_rotation)
+    shift_noises = (s.noise for s in signals if not s.is_rotation)
     names = {
         "filtered": tuple(
             f"{s.name} at {s.cutoff:.3g} Hz, noise {s.text(s.noise)}"
@@ -358,16 +365,18 @@ def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
     }
     return PassScores(
         (
-            Score("position noise", max(shifts, default=0.0), ScoreUnit.LENGTH, 1e-3),
+            Score(
+                "position noise", max(shift_noises, default=0.0), ScoreUnit.LENGTH, 1e-3
+            ),
             Score(
                 "rotation noise",
-                max(noises, default=0.0),
+                max(rotation_noises, default=0.0),
                 ScoreUnit.ANGLE,
                 TYPICAL_NOISE,
             ),
             Score(
                 "frames with spikes",
-                spike_frames / max(frames, 1),
+                spike_frames / max(frame_count, 1),
                 ScoreUnit.FRACTION,
                 0.01,
             ),
@@ -377,27 +386,27 @@ def noise_scores(frames: int, signals: list[CleanedSignal]) -> PassScores:
 
 
 def _check_spikes(spikes: int) -> None:
-    """Raise if the longest spike is out of range."""
-    limit = ROUGHNESS_FRAMES // 2
-    if not 0 <= spikes <= limit:
-        refuse("CAP001", f"spikes is {spikes}; it must be 0 to {limit}")
+    """Raise if the longest spike is below 0 or too long to detect [frames] (CAP001)."""
+    max_spikes = ROUGHNESS_FRAMES // 2
+    if not 0 <= spikes <= max_spikes:
+        refuse("CAP001", f"spikes is {spikes}; it must be 0 to {max_spikes}")
 
 
 def _check_cutoff(cutoff: float | None) -> None:
-    """Raise if the cut-off frequency is not positive and finite."""
+    """Raise if the cut-off frequency is not positive and finite [Hz] (CAP001)."""
     if cutoff is not None and not 0 < cutoff < math.inf:
         refuse("CAP001", f"cutoff is {cutoff:g} Hz; it must be above 0")
 
 
 def _option_checks(options: CleanOptions) -> OptionChecks:
-    """Return the checks of the options, by option name."""
+    """Return a function that checks the value, for each option that has limits."""
     return {
         "spikes": lambda: _check_spikes(options.spikes),
         "cutoff": lambda: _check_cutoff(options.cutoff),
     }
 
 
-def _run(take: Take, options: CleanOptions, context: PassContext) -> Take:
+def _run_pass(take: Take, options: CleanOptions, context: PassContext) -> Take:
     """Run the pass: clean the take and report its noise."""
     cleaned_take, signals = clean_take(take, options)
     context.notices.extend(cleaning_notices(take, signals, options))
@@ -412,7 +421,7 @@ PASS = Pass(
     "Remove spikes and noise",
     CleanOptions,
     FrameScope.CLIP,
-    _run,
+    _run_pass,
     _option_checks,
     reads=_EDITED_PARTS | {TakePart.RIG, TakePart.CLOCK},
     changes=_EDITED_PARTS,

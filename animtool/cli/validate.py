@@ -88,9 +88,9 @@ def _validate(files: Sequence[Path], options: ValidateOptions) -> Report:
     report = validate_files(files, options)
     if not report.findings:
         return report
-    from animtool.validation.fixes.plan import with_fixable
+    from animtool.validation.fixes.plan import mark_fixable
 
-    return with_fixable(report)
+    return mark_fixable(report)
 
 
 def _fix_files(
@@ -177,7 +177,7 @@ def _print_report(
     console.faults(report.broken_rules)
     is_verbose, namer = console.verbosity > 0, console.namer
     report_format = report_options.report_format
-    text = format_report(report, report_format, repeats=is_verbose, namer=namer)
+    text = format_report(report, report_format, shows_repeats=is_verbose, namer=namer)
     if report_options.output_file is None:
         console.document(text)
     else:

@@ -1,1 +1,1 @@
-"""Describes takes, and compares them."""
+"""Descriptions of files, comparisons of takes, and text of reports."""

@@ -47,7 +47,7 @@ class ShapeDifference:
 
 
 def compare_weights(
-    first: Take, second: Take, frames: int
+    first: Take, second: Take, count: int
 ) -> tuple[ShapeDifference, int, list[str]]:
     """Compare the shape weights of two takes of equal rate; match shapes by name.
 
@@ -62,26 +62,28 @@ def compare_weights(
     unmatched_names = []
     for side, weights in enumerate((first_weights, second_weights)):
         matched_shapes = {pair[side] for pair in pairs}
-        moving = np.flatnonzero(weights.any(axis=0)).tolist()
-        unmatched = [names[side][s] for s in moving if s not in matched_shapes]
-        unmatched_names.append(unmatched)
-    mismatches = missing_texts("shape", *unmatched_names)
+        moving_shapes = np.flatnonzero(weights.any(axis=0)).tolist()
+        unmatched_shapes = [
+            names[side][s] for s in moving_shapes if s not in matched_shapes
+        ]
+        unmatched_names.append(unmatched_shapes)
+    mismatches = unmatched_texts("shape", *unmatched_names)
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
     difference = np.abs(
-        first_weights[:frames, first_columns] - second_weights[:frames, second_columns]
+        first_weights[:count, first_columns] - second_weights[:count, second_columns]
     )
     if not difference.size:
         return ShapeDifference(), 0, mismatches
     frame, pair_index = np.unravel_index(np.argmax(difference), difference.shape)
-    largest = ShapeDifference(
+    largest_difference = ShapeDifference(
         float(difference[frame, pair_index]),
         names[0][first_columns[int(pair_index)]],
         float(first.clock.times[frame]),
     )
-    return largest, len(pairs), mismatches
+    return largest_difference, len(pairs), mismatches
 
 
-def missing_texts(
+def unmatched_texts(
     noun: str, only_first: Sequence[str], only_second: Sequence[str]
 ) -> list[str]:
     """Return texts that list the names which only one of two files or takes has."""
@@ -102,7 +104,7 @@ def _dense_weights(take: Take) -> FloatArray:
 
 
 def _shape_pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int, int]]:
-    """Return index pairs of shapes, matched by name and then by ARKit name."""
+    """Match shapes by name, then by ARKit name; return index pairs, ascending."""
     pairs = [(i, second.index(name)) for i, name in enumerate(first) if name in second]
     used_first, used_second = dict(pairs), {second_index for _, second_index in pairs}
     by_arkit_name = {
@@ -167,7 +169,7 @@ class TakeDifference:
     def within(
         self, meters: float, degrees: float, weights: float = WEIGHT_TOLERANCE
     ) -> bool:
-        """Return whether the takes agree within tolerances."""
+        """Return whether nothing is missing, and no difference exceeds a tolerance."""
         return (
             not self.mismatches
             and self.world.value <= meters
@@ -220,8 +222,8 @@ def _stream_difference(first: TakeStream, second: TakeStream) -> TakeDifference:
         first.collect(), reorient(second, first.rig.up).collect()
     )
     difference.notices.extend([*first.notices, *second.notices])
-    meters = first.rig.meters_per_unit, second.rig.meters_per_unit
-    difference.notes.extend(space_notes((first.rig.up, second.rig.up), meters))
+    units = first.rig.meters_per_unit, second.rig.meters_per_unit
+    difference.notes.extend(space_notes((first.rig.up, second.rig.up), units))
     if None not in {first.start, second.start} and first.start != second.start:
         codes = f"{float(first.start or 0):g} instead of {float(second.start or 0):g}"
         difference.notes.append(f"first time code {codes}; compared from there")
@@ -235,7 +237,7 @@ def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDiff
     """Compare the skeletons of two stages, matched in pairs."""
     pairs = _skeleton_pairs(list(first), list(second))
     first_matches, second_matches = dict(pairs), {path for _, path in pairs}
-    mismatches = missing_texts(
+    mismatches = unmatched_texts(
         "skeleton",
         [path for path in first if path not in first_matches],
         [path for path in second if path not in second_matches],
@@ -243,7 +245,7 @@ def _character_difference(first: _TakeOpeners, second: _TakeOpeners) -> TakeDiff
     total = TakeDifference(mismatches=mismatches, skeletons=len(pairs))
     for first_path, second_path in pairs:
         difference = _stream_difference(first[first_path](), second[second_path]())
-        total = _merged_difference(total, difference, first_path)
+        total = _add_difference(total, difference, first_path)
     return total
 
 
@@ -271,36 +273,36 @@ def _skeleton_pairs(
     return pairs or list(zip(unmatched_first, unmatched_second, strict=False))
 
 
-def _merged_difference(
-    total: TakeDifference, added: TakeDifference, skeleton: str
+def _add_difference(
+    total: TakeDifference, other: TakeDifference, skeleton: str
 ) -> TakeDifference:
-    """Return the total difference, extended by the difference of another skeleton."""
+    """Add another skeleton's difference to the total: largest values, summed counts."""
     larger_differences = {}
     for quantity in ("world", "translation", "rotation", "scale", "weight"):
-        difference = getattr(added, quantity)
+        difference = getattr(other, quantity)
         if difference.value > getattr(total, quantity).value:
             larger_differences[quantity] = replace(difference, skeleton=skeleton)
-    new_notices = [notice for notice in added.notices if notice not in total.notices]
+    new_notices = [notice for notice in other.notices if notice not in total.notices]
     return replace(
         total,
         **larger_differences,
-        frames=max(total.frames, added.frames),
-        size=max(total.size, added.size),
-        joints=total.joints + added.joints,
-        shapes=total.shapes + added.shapes,
-        mismatches=total.mismatches + [f"{skeleton}: {m}" for m in added.mismatches],
-        notes=total.notes + [f"{skeleton}: {note}" for note in added.notes],
+        frames=max(total.frames, other.frames),
+        size=max(total.size, other.size),
+        joints=total.joints + other.joints,
+        shapes=total.shapes + other.shapes,
+        mismatches=total.mismatches + [f"{skeleton}: {m}" for m in other.mismatches],
+        notes=total.notes + [f"{skeleton}: {note}" for note in other.notes],
         notices=total.notices + new_notices,
     )
 
 
-def space_notes(ups: tuple[UpAxis, UpAxis], meters: tuple[float, float]) -> list[str]:
+def space_notes(ups: tuple[UpAxis, UpAxis], units: tuple[float, float]) -> list[str]:
     """Return a note if up axes or units [m] of two files differ."""
     notes = []
     if ups[0] is not ups[1]:
         notes.append(f"{ups[0]} up instead of {ups[1]} up; compared with {ups[0]} up")
-    if not math.isclose(*meters, rel_tol=1e-6):
-        first, second = map(unit_name, meters)
+    if not math.isclose(*units, rel_tol=1e-6):
+        first, second = map(unit_name, units)
         notes.append(f"lengths in {first} instead of {second}; compared in metres")
     return notes
 
@@ -311,40 +313,42 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
     mismatches = _mismatches(first, second, pairs)
     if first.clock.rate != second.clock.rate:
         second = resampled(second, first.clock.rate)
-    frames = min(first.clock.count, second.clock.count)
+    frame_count = min(first.clock.count, second.clock.count)
     first_joints, second_joints = ([pair[side] for pair in pairs] for side in (0, 1))
-    codes = first.clock.times
+    time_codes = first.clock.times
 
-    weight, shapes, missing_shapes = compare_weights(first, second, frames)
+    weight, shape_count, missing_shapes = compare_weights(first, second, frame_count)
 
-    def largest(values: FloatArray) -> Difference:
+    def find_largest(values: FloatArray) -> Difference:
         if not values.size:
             return Difference()
         frame, joint = np.unravel_index(np.argmax(values), values.shape)
         name = first.rig.names[first_joints[int(joint)]]
-        return Difference(float(values[frame, joint]), name, float(codes[frame]))
+        return Difference(float(values[frame, joint]), name, float(time_codes[frame]))
 
     first_values, second_values = (
-        take.motion.select(slice(0, frames)).dense() for take in (first, second)
+        take.motion.select(slice(0, frame_count)).dense() for take in (first, second)
     )
     first_world = forward_kinematics(first.rig, *first_values).positions
     second_world = forward_kinematics(second.rig, *second_values).positions
-    difference = first_world[:, first_joints] - second_world[:, second_joints]
-    translation = first_values[0][:, first_joints] - second_values[0][:, second_joints]
-    rotation = so3.angle_between(
+    position_offsets = first_world[:, first_joints] - second_world[:, second_joints]
+    translation_offsets = (
+        first_values[0][:, first_joints] - second_values[0][:, second_joints]
+    )
+    rotation_angles = so3.angle_between(
         first_values[1][:, first_joints], second_values[1][:, second_joints]
     )
     first_scales, second_scales = map(_dense_scales, (first_values, second_values))
-    scale = first_scales[:, first_joints] - second_scales[:, second_joints]
+    scale_differences = first_scales[:, first_joints] - second_scales[:, second_joints]
     return TakeDifference(
-        largest(np.linalg.norm(difference, axis=-1)),
-        largest(np.linalg.norm(translation, axis=-1)),
-        largest(np.degrees(rotation)),
-        largest(np.abs(scale).max(axis=-1)),
+        find_largest(np.linalg.norm(position_offsets, axis=-1)),
+        find_largest(np.linalg.norm(translation_offsets, axis=-1)),
+        find_largest(np.degrees(rotation_angles)),
+        find_largest(np.abs(scale_differences).max(axis=-1)),
         weight,
-        frames,
+        frame_count,
         len(pairs),
-        shapes,
+        shape_count,
         mismatches + missing_shapes,
         size=max(_largest_extent(first_world), _largest_extent(second_world)),
     )
@@ -368,7 +372,7 @@ def _dense_scales(
 
 
 def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
-    """Return index pairs of joints, matched by source name and then by name."""
+    """Match joints by source name, then by name; return pairs of indices."""
     indices_by_name: dict[str, list[int]] = {}
     for i, joint in enumerate(second.joints):
         for key in {joint.source_name or joint.name, joint.name}:
@@ -377,8 +381,8 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
     used_indices: set[int] = set()
     for i, joint in enumerate(first.joints):
         for key in (joint.source_name or joint.name, joint.name):
-            candidates = indices_by_name.get(key, [])
-            match = next((j for j in candidates if j not in used_indices), None)
+            candidate_indices = indices_by_name.get(key, [])
+            match = next((j for j in candidate_indices if j not in used_indices), None)
             if match is not None:
                 used_indices.add(match)
                 pairs.append((i, match))
@@ -387,17 +391,17 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
 
 
 def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
-    """Return the joints, frames and rates that differ, as text."""
+    """Return texts on joints without a match, and on different lengths and rates."""
     matched_joints = dict(pairs), {joint for _, joint in pairs}
     unmatched_names = [
         [name for i, name in enumerate(take.rig.names) if i not in matched]
         for take, matched in zip((first, second), matched_joints, strict=True)
     ]
-    mismatches = missing_texts("joint", *unmatched_names)
+    mismatches = unmatched_texts("joint", *unmatched_names)
     if first.clock.count != second.clock.count:
-        frames = counted(first.clock.count, "frame")
-        mismatches.append(f"{frames} instead of {second.clock.count}")
+        frames_text = counted(first.clock.count, "frame")
+        mismatches.append(f"{frames_text} instead of {second.clock.count}")
     if first.clock.rate != second.clock.rate:
-        rates = f"{first.clock.rate} fps instead of {second.clock.rate}"
-        mismatches.append(f"{rates}; frames are compared by time from the first")
+        rates_text = f"{first.clock.rate} fps instead of {second.clock.rate}"
+        mismatches.append(f"{rates_text}; frames are compared by time from the first")
     return mismatches

@@ -14,7 +14,7 @@ from animtool.core.errors import Fault, counted
 from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.maths import so3
-from animtool.report.compare import SCALE_TOLERANCE, missing_texts, space_notes
+from animtool.report.compare import SCALE_TOLERANCE, space_notes, unmatched_texts
 from animtool.report.tolerances import (
     angle_warnings,
     length_warnings,
@@ -60,7 +60,7 @@ class PointsDifference:
         ]
 
     def within(self, meters: float, degrees: float) -> bool:
-        """Return whether the points agree within tolerances."""
+        """Return whether nothing is missing, and no difference exceeds a tolerance."""
         return (
             not self.mismatches
             and self.points.value <= meters
@@ -82,42 +82,42 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     source_b = None if source_a is None else open_points(second)
     if source_a is None or source_b is None:
         return None
-    mismatches = missing_texts(
+    mismatches = unmatched_texts(
         "prim",
         [name for name in source_a.names if name not in source_b.names],
         [name for name in source_b.names if name not in source_a.names],
     )
     common_names = [name for name in source_a.names if name in source_b.names]
     largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
-    samples, size = 0, 0.0
+    sample_count, size = 0, 0.0
     for name in common_names:
-        codes = source_a.codes(name), source_b.codes(name)
-        types = source_a.type(name), source_b.type(name)
-        if types[0] != types[1]:
-            mismatches.append(f"{name}: {types[0]} instead of {types[1]}")
-        if len(codes[0]) != len(codes[1]):
-            counts = f"{counted(len(codes[0]), 'sample')} instead of {len(codes[1])}"
-            mismatches.append(f"{name}: {counts}")
-        for code, *pair in _sample_pairs(source_a, source_b, name, codes):
-            samples += 1
-            size = max(size, *map(_bounds_diagonal, pair))
-            mismatch = _point_mismatch(*pair)
+        time_codes = source_a.codes(name), source_b.codes(name)
+        prim_types = source_a.type(name), source_b.type(name)
+        if prim_types[0] != prim_types[1]:
+            mismatches.append(f"{name}: {prim_types[0]} instead of {prim_types[1]}")
+        if len(time_codes[0]) != len(time_codes[1]):
+            count_text = counted(len(time_codes[0]), "sample")
+            mismatches.append(f"{name}: {count_text} instead of {len(time_codes[1])}")
+        for code, *samples in _sample_pairs(source_a, source_b, name, time_codes):
+            sample_count += 1
+            size = max(size, *map(_bounds_diagonal, samples))
+            mismatch = _point_mismatch(*samples)
             if mismatch:
                 mismatches.append(f"{name} at time code {code:g}: {mismatch}")
                 break
-            for quantity, (values, ids) in _distances(*pair).items():
+            for quantity, (values, ids) in _distances(*samples).items():
                 worst_index = int(np.argmax(values)) if len(values) else 0
                 if len(values) and values[worst_index] > largest[quantity].value:
-                    worst, point = float(values[worst_index]), int(ids[worst_index])
+                    worst, point = (float(values[worst_index]), int(ids[worst_index]))
                     largest[quantity] = PointDifference(worst, name, point, code)
     if source_a.fps != source_b.fps:
-        rates = f"{source_a.fps} time codes per second instead of {source_b.fps}"
-        mismatches.append(rates)
+        rates_text = f"{source_a.fps} time codes per second instead of {source_b.fps}"
+        mismatches.append(rates_text)
     return PointsDifference(
         "points",
         **largest,
         prims=len(common_names),
-        samples=samples,
+        samples=sample_count,
         mismatches=mismatches,
         notes=[
             *space_notes((source_a.up, source_b.up), (source_a.unit, source_b.unit)),
@@ -138,19 +138,19 @@ def _sample_pairs(
     source_a: PointSource,
     source_b: PointSource,
     name: str,
-    codes: tuple[list[float], list[float]],
+    time_codes: tuple[list[float], list[float]],
 ) -> Iterator[tuple[float, PointSample, PointSample]]:
-    """Yield common time codes of the first stage, with a sample of either stage."""
-    first_codes, second_codes = codes
+    """Yield time codes of the first stage, each with both stages' samples at it."""
+    first_codes, second_codes = time_codes
     if not first_codes or not second_codes:
         first_sample = source_a.sample(name, None)
         yield 0.0, first_sample, _in_axes_of_first(source_a, source_b, name, None)
         return
     duration = float((second_codes[-1] - second_codes[0]) / source_b.fps) + 1e-9
     for code in first_codes:
-        elapsed = float((code - first_codes[0]) / source_a.fps)
-        if elapsed <= duration:
-            second_code = second_codes[0] + elapsed * float(source_b.fps)
+        elapsed_seconds = float((code - first_codes[0]) / source_a.fps)
+        if elapsed_seconds <= duration:
+            second_code = second_codes[0] + elapsed_seconds * float(source_b.fps)
             second_sample = _in_axes_of_first(source_a, source_b, name, second_code)
             yield code, source_a.sample(name, code), second_sample
 
@@ -185,8 +185,8 @@ def _point_mismatch(first: PointSample, second: PointSample) -> str:
         (differing_rows,) = np.nonzero(first_meshes != second_meshes)
         if len(differing_rows):
             row = int(differing_rows[0])
-            meshes = f"mesh {first_meshes[row]} instead of {second_meshes[row]}"
-            return f"point {int(ids[row])} is a copy of {meshes}"
+            meshes_text = f"mesh {first_meshes[row]} instead of {second_meshes[row]}"
+            return f"point {int(ids[row])} is a copy of {meshes_text}"
     return ""
 
 
@@ -229,6 +229,6 @@ def _start_notes(
     starts = [(source_a.codes(name)[:1], source_b.codes(name)[:1]) for name in names]
     for first_start, second_start in starts:
         if first_start and second_start and first_start != second_start:
-            codes = f"{first_start[0]:g} instead of {second_start[0]:g}"
-            return [f"first time code {codes}; compared from there"]
+            codes_text = f"{first_start[0]:g} instead of {second_start[0]:g}"
+            return [f"first time code {codes_text}; compared from there"]
     return []

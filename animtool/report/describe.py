@@ -25,14 +25,14 @@ if TYPE_CHECKING:
     from animtool.usd.caches.info import PointPrimSummary
 
 
-FRAMES_AT_ONCE = 1024
+BLOCK_FRAMES = 1024
 # Frames at the start of a long take that are searched for a cycle.
-CYCLE_FRAMES = 6000
+MAX_CYCLE_FRAMES = 6000
 
 
 @dataclass(frozen=True, slots=True)
 class TakeDescription:
-    """Summary of a take."""
+    """Facts about a take and its file, as `animtool info` prints them."""
 
     path: str  # path of the file
     format: str  # BVH or USD
@@ -94,8 +94,8 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     take = stream.collect()
     motion, rig = take.motion, take.rig
     block_minima, block_maxima = [], []
-    for begin in range(0, motion.frames, FRAMES_AT_ONCE):
-        block = motion.select(slice(begin, begin + FRAMES_AT_ONCE))
+    for first_frame in range(0, motion.frames, BLOCK_FRAMES):
+        block = motion.select(slice(first_frame, first_frame + BLOCK_FRAMES))
         positions = block.world(rig).positions
         if not rig.joints:
             positions = np.zeros((block.frames, 1, 3))
@@ -116,6 +116,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     take_names = stream.details.get("takes")
     moving_shapes = [] if motion.weights is None else motion.weights.animated.tolist()
     bounds = np.min(block_minima, axis=0), np.max(block_maxima, axis=0)
+    points, shot, characters = _describe_stage(Path(path), options)
     return TakeDescription(
         str(path),
         str(stream.details.get("format", "")),
@@ -136,12 +137,12 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         rig.up.value,
         take_names if isinstance(take_names, list) else [],
         str(stream.details.get("take", "")),
-        _describe_points(Path(path)),
+        points,
         stream.notices,
-        _recorded_shot(Path(path)),
+        shot,
         capture,
         None if capture is None else _find_cycle(take),
-        _all_characters(Path(path), options),
+        characters,
         _describe_contents(Path(path)),
     )
 
@@ -162,7 +163,7 @@ def _find_cycle(take: Take) -> Cycle | None:
     from animtool.edit.cycle import find_cycle
     from animtool.edit.looping import MAX_GOOD_SEAM
 
-    last_frame = min(take.clock.count, CYCLE_FRAMES) - 1
+    last_frame = min(take.clock.count, MAX_CYCLE_FRAMES) - 1
     try:
         cycle = find_cycle(take, None, float(take.clock.times[last_frame]))
     except OptionError:  # nothing moves, or it is shorter than any cycle
@@ -170,38 +171,26 @@ def _find_cycle(take: Take) -> Cycle | None:
     return cycle if cycle.share <= MAX_GOOD_SEAM else None
 
 
-def _recorded_shot(path: Path) -> dict[str, object] | None:
-    """Return the shot that a USD file stores."""
+def _describe_stage(
+    path: Path, options: SourceOptions | None
+) -> tuple[list[PointPrimSummary], dict[str, object] | None, CharactersFacts | None]:
+    """Return the animated points, recorded shot and characters of a USD file.
+
+    Characters are None if there is one, or if one is selected.
+    """
     if not is_usd(path):
-        return None
+        return [], None, None
+    from animtool.report.describe_characters import describe_characters
+    from animtool.usd.caches.info import animated_point_prims
     from animtool.usd.layers.sdf import find_layer, layer_shot
 
-    return layer_shot(find_layer(path))
-
-
-def _describe_points(path: Path) -> list[PointPrimSummary]:
-    """Return the description of a USD file's animated points."""
-    if not is_usd(path):
-        return []
-    from animtool.usd.caches.info import animated_point_prims
-
-    return animated_point_prims(path)
-
-
-def _all_characters(
-    path: Path, options: SourceOptions | None
-) -> CharactersFacts | None:
-    """Return a summary of several characters; None for one or a selected character."""
+    points, shot = animated_point_prims(path), layer_shot(find_layer(path))
     is_selected = options is not None and (options.prim_path or options.take)
-    if not is_usd(path) or is_selected:
-        return None
-    from animtool.report.describe_characters import describe_characters
-
-    return describe_characters(path)
+    return points, shot, None if is_selected else describe_characters(path)
 
 
 def _describe_contents(path: Path) -> GltfContents | None:
-    """Return the contents of a glTF or FBX file."""
+    """Return the contents of a glTF or FBX file; None for other formats."""
     if reader_of(path) not in {FBX, GLTF}:
         return None
     from animtool.report.describe_gltf import fbx_contents, gltf_contents

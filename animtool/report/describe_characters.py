@@ -42,7 +42,7 @@ class CharactersFacts:
 
 @dataclass(frozen=True, slots=True)
 class _CharacterSummary:
-    """Summary of one character."""
+    """Bounds and hip speeds of one character; speeds only for people."""
 
     # Lowest and highest joint position, axis by axis, over all frames [m].
     bounds_low: list[float]
@@ -64,21 +64,21 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
     readers = read_characters(Path(path))
     if len(readers) < 2:
         return None
-    summaries, joints, unreadable_count = [], 0, 0
+    summaries, joint_count, unreadable_count = [], 0, 0
     for name, open_take in readers.items():
         try:
             take = open_take().collect()
         except AnimtoolError:
             unreadable_count += 1
             continue
-        joints += len(take.rig.joints)
+        joint_count += len(take.rig.joints)
         if take.rig.joints:
             summaries.append(_summarize(name, take))
     mean_speeds, speeds, heights, rises = (
         [v for v in map(attrgetter(name), summaries) if v is not None]
         for name in ("mean_speed", "speed", "lowest", "rise")
     )
-    value_of = attrgetter("value")
+    get_value = attrgetter("value")
     bounds = None
     if summaries:
         bounds_low = np.min([summary.bounds_low for summary in summaries], axis=0)
@@ -86,18 +86,18 @@ def describe_characters(path: Path | str) -> CharactersFacts | None:
         bounds = bounds_low.tolist(), bounds_high.tolist()
     return CharactersFacts(
         len(readers),
-        joints,
+        joint_count,
         unreadable_count,
         bounds,
         float(np.mean(mean_speeds)) if mean_speeds else None,
-        max(speeds, key=value_of, default=None),
-        min(heights, key=value_of, default=None),
-        max(rises, key=value_of, default=None),
+        max(speeds, key=get_value, default=None),
+        min(heights, key=get_value, default=None),
+        max(rises, key=get_value, default=None),
     )
 
 
 def _summarize(name: str, take: Take) -> _CharacterSummary:
-    """Return the summary of a character; only humans get speed and heights."""
+    """Measure a character's bounds and, if it has legs, its hips' speed and height."""
     roles = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
     hips, positions = joint_positions(take, roles, range(len(take.rig.joints)))
     points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
@@ -112,14 +112,14 @@ def _summarize(name: str, take: Take) -> _CharacterSummary:
     def extreme_at(value: float, frame: int) -> Extreme:
         return Extreme(value, name, float(times[frame]))
 
-    fastest, lowest, largest_step = (
+    fastest_step, lowest_frame, largest_step = (
         int(index) for index in (speeds.argmax(), heights.argmin(), steps.argmax())
     )
     return _CharacterSummary(
         bounds_low,
         bounds_high,
         float(speeds.mean()),
-        extreme_at(float(speeds[fastest]), fastest + 1),
-        extreme_at(float(heights[lowest]), lowest),
+        extreme_at(float(speeds[fastest_step]), fastest_step + 1),
+        extreme_at(float(heights[lowest_frame]), lowest_frame),
         extreme_at(float(steps[largest_step]), largest_step + 1),
     )

@@ -15,7 +15,7 @@ from animtool.formats.gltf.timing import unique_clip_names
 
 @dataclass(frozen=True, slots=True)
 class GltfClip:
-    """An animation clip of a file."""
+    """An animation of a glTF file, or a take of an FBX file."""
 
     name: str
     first_key: float  # [s]
@@ -25,7 +25,7 @@ class GltfClip:
 
 @dataclass(frozen=True, slots=True)
 class GltfContents:
-    """Contents of a file, both used and unused."""
+    """Counts and names of what a glTF or FBX file contains, used or not."""
 
     nodes: int
     meshes: int
@@ -49,8 +49,8 @@ class GltfDescription:
 
 
 def gltf_contents(path: Path | str) -> GltfContents:
-    """Return the contents of a glTF file."""
-    return _gltf_contents(open_gltf(path))
+    """Open a glTF file and return its contents."""
+    return _describe_gltf(open_gltf(path))
 
 
 def describe_without_nodes(path: Path) -> GltfDescription | None:
@@ -59,23 +59,23 @@ def describe_without_nodes(path: Path) -> GltfDescription | None:
     gltf = open_gltf(path)
     if gltf.nodes:
         return None
-    return GltfDescription(str(path), "glTF", _gltf_contents(gltf), gltf.notes.notices)
+    return GltfDescription(str(path), "glTF", _describe_gltf(gltf), gltf.notes.notices)
 
 
-def _gltf_contents(gltf: Gltf) -> GltfContents:
+def _describe_gltf(gltf: Gltf) -> GltfContents:
     names = unique_clip_names(gltf.animations)
     clips = [
         GltfClip(name, *animation.span, len(animation.tracks))
         for name, animation in zip(names, gltf.animations, strict=True)
     ]
     bones = {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)}
-    return _contents(gltf, clips, len(gltf.scenes), bones)
+    return _collect_contents(gltf, clips, len(gltf.scenes), bones)
 
 
-def _contents(
+def _collect_contents(
     file: Any, clips: list[GltfClip], scene_count: int, bones: dict[str, str]
 ) -> GltfContents:
-    """Return the contents of a glTF or FBX file with its clips and VRM bones."""
+    """Count the contents of an open glTF or FBX file, and list its characters."""
     skeletons = find_characters(file) if file.nodes else ()
     return GltfContents(
         len(file.nodes),
@@ -91,7 +91,7 @@ def _contents(
 
 
 def fbx_contents(path: Path | str) -> GltfContents:
-    """Return the contents of an FBX file."""
+    """Open an FBX file and return its contents, with takes as clips."""
     from animtool.formats.fbx.read import scene_take_names
     from animtool.formats.fbx.scene import open_fbx
     from animtool.formats.fbx.settings import TICKS_PER_SECOND
@@ -101,4 +101,4 @@ def fbx_contents(path: Path | str) -> GltfContents:
     for name, take in zip(scene_take_names(scene), scene.takes, strict=True):
         start, end = (t / TICKS_PER_SECOND for t in (take.start_ticks, take.end_ticks))
         clips.append(GltfClip(name, start, end, len(take.curves())))
-    return _contents(scene, clips, 1, {})
+    return _collect_contents(scene, clips, 1, {})

@@ -19,7 +19,7 @@ from animtool.motion.markers import Markers
 
 @dataclass(frozen=True, slots=True)
 class MarkersDescription:
-    """Summary of a marker file."""
+    """Facts about a marker file, as `animtool info` prints them."""
 
     path: str  # path of the file
     format: str  # name of the file format
@@ -48,15 +48,15 @@ class MarkersDescription:
 
 
 def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
-    """Return the summary of a marker file."""
+    """Measure gaps, spikes and bounds of markers, and add plausibility warnings."""
     is_labelled = np.array([not name.startswith("*") for name in markers.names], bool)
-    visible = markers.visible
-    is_missing = np.pad(~visible[:, is_labelled], ((1, 1), (0, 0))).astype(np.int8)
-    steps = np.diff(is_missing, axis=0)
-    starts = np.argwhere(steps.T == 1)[:, 1]
-    ends = np.argwhere(steps.T == -1)[:, 1]
-    longest_gap = int((ends - starts).max(initial=0))
-    points = markers.positions[visible]
+    is_visible = markers.visible
+    is_missing = np.pad(~is_visible[:, is_labelled], ((1, 1), (0, 0))).astype(np.int8)
+    gap_edges = np.diff(is_missing, axis=0)
+    gap_starts = np.argwhere(gap_edges.T == 1)[:, 1]
+    gap_ends = np.argwhere(gap_edges.T == -1)[:, 1]
+    longest_gap = int((gap_ends - gap_starts).max(initial=0))
+    points = markers.positions[is_visible]
     bounds = None
     if len(points):
         bounds = (points.min(axis=0).tolist(), points.max(axis=0).tolist())
@@ -71,8 +71,8 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
         clock.start,
         clock.duration,
         markers.up.value,
-        len(starts),
-        float((~visible[:, is_labelled]).mean()) if is_labelled.any() else 0.0,
+        len(gap_starts),
+        float((~is_visible[:, is_labelled]).mean()) if is_labelled.any() else 0.0,
         longest_gap / float(clock.rate),
         len(find_spikes(markers)),
         0 if markers.filled is None else int(markers.filled.sum()),

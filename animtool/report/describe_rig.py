@@ -19,7 +19,7 @@ from animtool.rig.surfaces import Surface, surfaces_of
 
 @dataclass(frozen=True, slots=True)
 class MeshDescription:
-    """Summary of a mesh."""
+    """Counts of a mesh's points, faces, influences and shapes."""
 
     name: str  # name in the rig
     points: int  # number of points
@@ -32,7 +32,7 @@ class MeshDescription:
 
 @dataclass(frozen=True, slots=True)
 class RigDescription:
-    """Summary of a rig."""
+    """Facts about a rig, as `animtool info` prints them."""
 
     path: str  # path of the file
     name: str  # name of the rig
@@ -67,11 +67,11 @@ class RigDescription:
 
 def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescription:
     """Describe an open rig, with its notices."""
-    types = Counter(str(joint.type) for joint in rig.joints)
+    joint_types = Counter(str(joint.type) for joint in rig.joints)
     return RigDescription(
         str(path),
         rig.name,
-        dict(types),
+        dict(joint_types),
         sum(joint.limits is not None for joint in rig.joints),
         rest_size(rig) / rig.meters_per_unit,
         list(map(_describe_mesh, surfaces_of(rig))),
@@ -92,13 +92,14 @@ def describe_rig(path: Path | str, rig: Rig, notices: list[Fault]) -> RigDescrip
 
 
 def _describe_mesh(surface: Surface) -> MeshDescription:
-    name, points, faces = surface.name, len(surface.points), len(surface.counts)
-    method, joints, influences = None, 0, 0
+    method, joint_count, max_influences = None, 0, 0
     if surface.skin is not None:
-        method, joints = surface.skin.method, len(surface.skin.joints)
-        influences = int((surface.skin.weights > 0).sum(axis=1).max(initial=0))
-    shapes = len(surface.shapes)
-    return MeshDescription(name, points, faces, method, joints, influences, shapes)
+        method, joint_count = surface.skin.method, len(surface.skin.joints)
+        max_influences = int((surface.skin.weights > 0).sum(axis=1).max(initial=0))
+    return MeshDescription(
+        surface.name, len(surface.points), len(surface.counts),
+        method, joint_count, max_influences, len(surface.shapes),
+    )  # fmt: skip
 
 
 def _driver_formulas(rig: Rig) -> list[str]:
@@ -126,7 +127,7 @@ def _formula(driver: Driver) -> str:
 
 @dataclass(frozen=True, slots=True)
 class GoalDescription:
-    """A goal as text."""
+    """Effector, goal kinds and hold spans of one goal."""
 
     effector: str  # name in the file
     asks: tuple[str, ...]  # goal kinds, such as position or orientation
@@ -146,7 +147,11 @@ class TargetsDescription:
 
 
 def describe_targets(path: Path) -> TargetsDescription:
-    """Return the description of a targets file; raise an error for its faults."""
+    """Read and describe a targets file.
+
+    Raises:
+        FormatError: It cannot be read or is malformed.
+    """
     tracks = load_targets(path)
     clock = tracks.clock
     kinds = [tuple(kind.name for kind in track.goal.kinds) for track in tracks.goals]

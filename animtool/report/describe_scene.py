@@ -1,4 +1,4 @@
-"""Describes scenes."""
+"""Describes scene files: sources, passes, systems and outputs, before a bake."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from animtool.scene.scene import Scene
 
 @dataclass(frozen=True, slots=True)
 class PropDescription:
-    """Description of a prop next to the character."""
+    """File and prim of a prop, and its path in the output."""
 
     file: str  # source file
     prim: str  # prim in the source file
@@ -26,7 +26,7 @@ class PropDescription:
 
 @dataclass(frozen=True, slots=True)
 class PassDescription:
-    """Description of a pass."""
+    """Name and line of a pass in a scene."""
 
     name: str  # name in the table of passes
     line: int  # line in the scene
@@ -99,7 +99,7 @@ class SceneDescription:
 
 
 def describe_scene(scene: Scene) -> SceneDescription:
-    """Describe a loaded scene."""
+    """Describe a scene from its file alone; no file that it names is read."""
     return SceneDescription(
         str(scene.path),
         [str(source.path) for source in scene.sources],

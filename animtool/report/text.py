@@ -46,8 +46,8 @@ class Each:
             itself; entries of a mapping have ``key`` and ``value``.
         lines: Templates of one entry; ``{self}`` is the entry, ``{number}`` counts
             them.
-        most: Maximum number of entries to print; ``rest`` counts the others.
-        rest: Line for ``{left}`` more entries.
+        max_entries: Maximum number of entries to print; None prints all.
+        omitted: Line for ``{left}`` more entries.
     """
 
     name: str
@@ -81,14 +81,14 @@ Printers: TypeAlias = Mapping[str, Callable[..., Any]]
 
 
 # Names per line, unless all are requested.
-MAX_NAMED = 8
+MAX_LISTED_NAMES = 8
 # Durations of stages, printed with `--verbose`.
 SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """Text template of a kind of record.
+    """Lines of text for the records of one class.
 
     Attributes:
         record: The class, as ``module:name``.
@@ -106,7 +106,7 @@ class Template:
 
     def text(self, record: object, *, all_names: bool = False) -> list[str]:
         """Return the lines of a record; ``all_names`` prints lists of names in full."""
-        names = _names_printer(None if all_names else MAX_NAMED)
+        names = _names_printer(None if all_names else MAX_LISTED_NAMES)
         return render(record, self.lines, {**self.printers, "names": names})
 
     def detail_lines(self, record: object) -> list[str]:
@@ -162,35 +162,35 @@ class _Renderer:
     printers: Printers
 
     def lines(self, scope: _Scope, lines: Sequence[Line]) -> Iterator[str]:
-        """Yield the lines of the innermost record in a scope."""
+        """Yield the lines of templates filled with the records in a scope."""
         for line in lines:
             if isinstance(line, str):
                 text = self.fill_template(scope, _parse_template(line))
                 if text or not line:
                     yield text or ""
             elif isinstance(line, Each):
-                yield from self._each(scope, line)
+                yield from self._each_lines(scope, line)
             else:
-                yield from self._table(scope, line)
+                yield from self._table_lines(scope, line)
 
-    def _each(self, scope: _Scope, line: Each) -> Iterator[str]:
-        entries = self._entries(scope, line.name)
-        for number, entry in enumerate(entries[: line.max_entries], 1):
-            yield from self.lines((entry, {"number": number}, *scope), line.lines)
+    def _each_lines(self, scope: _Scope, line: Each) -> Iterator[str]:
+        entries = self._field_entries(scope, line.name)
+        for entry_number, entry in enumerate(entries[: line.max_entries], 1):
+            yield from self.lines((entry, {"number": entry_number}, *scope), line.lines)
         omitted_count = len(entries) - (line.max_entries or len(entries))
         if omitted_count > 0:
             yield from self.lines(({"left": omitted_count}, *scope), (line.omitted,))
 
-    def _entries(self, scope: _Scope, name: str) -> list[Any]:
-        name, _, spec = name.partition(":")
-        value = _value(scope, name)
-        for printer in filter(None, spec.split(" | ")):
+    def _field_entries(self, scope: _Scope, name: str) -> list[Any]:
+        name, _, printer_names = name.partition(":")
+        value = _find_value(scope, name)
+        for printer in filter(None, printer_names.split(" | ")):
             value = None if value is None else self.printers[printer](value)
         if isinstance(value, Mapping):
             return [{"key": key, "value": entry} for key, entry in value.items()]
         return list(value or ())
 
-    def _table(self, scope: _Scope, table: Table) -> Iterator[str]:
+    def _table_lines(self, scope: _Scope, table: Table) -> Iterator[str]:
         for text in aligned_lines(*self.cells(scope, table)):
             yield table.indent + text
 
@@ -199,7 +199,7 @@ class _Renderer:
         templates = [_parse_template(cell) for cell in table.columns.values()]
         cells = [
             [self.fill_template((entry, *scope), cell) or "" for cell in templates]
-            for entry in self._entries(scope, table.name)
+            for entry in self._field_entries(scope, table.name)
         ]
         shown_columns = {
             header: i
@@ -228,7 +228,7 @@ class _Renderer:
 
     def _field_text(self, scope: _Scope, node: _Field) -> str | None:
         """Return a field as text; None if missing, empty if only tested."""
-        value = _value(scope, node.name)
+        value = _find_value(scope, node.name)
         if node.test:
             return "" if bool(value) is (node.test == "?") else None
         width = ""
@@ -277,13 +277,15 @@ _TOKEN = re.compile(r"\{([?!]?)([\w.]+)(?::([^{}]*))?\}|([\[|\]])|([^{}\[|\]]+)"
 
 @cache
 def _parse_template(template: str) -> tuple[_Node, ...]:
-    return _alternatives(template, iter(_TOKEN.finditer(template)), top=True)[0]
+    return _parse_alternatives(template, iter(_TOKEN.finditer(template)), is_top=True)[
+        0
+    ]
 
 
-def _alternatives(
-    template: str, tokens: Iterator[re.Match[str]], *, top: bool = False
+def _parse_alternatives(
+    template: str, tokens: Iterator[re.Match[str]], *, is_top: bool = False
 ) -> tuple[tuple[_Node, ...], ...]:
-    """Return the alternatives between brackets, separated by bars."""
+    """Parse tokens up to a closing bracket into alternatives, separated by bars."""
     alternatives: list[list[_Node]] = [[]]
     for token in tokens:
         test, name, spec, bracket, text = token.groups()
@@ -292,17 +294,19 @@ def _alternatives(
         elif text is not None:
             alternatives[-1].append(text)
         elif bracket == "[":
-            alternatives[-1].append(_Alternatives(_alternatives(template, tokens)))
-        elif bracket == "|" and not top:
+            alternatives[-1].append(
+                _Alternatives(_parse_alternatives(template, tokens))
+            )
+        elif bracket == "|" and not is_top:
             alternatives.append([])
-        elif bracket == "]" and not top:
+        elif bracket == "]" and not is_top:
             break
         else:
             alternatives[-1].append(bracket)
     return tuple(tuple(nodes) for nodes in alternatives)
 
 
-def _value(scope: _Scope, name: str) -> Any:
+def _find_value(scope: _Scope, name: str) -> Any:
     """Return the field value of the innermost record that has the field."""
     field_name, _, attributes_path = name.partition(".")
     for record in scope:
@@ -311,8 +315,8 @@ def _value(scope: _Scope, name: str) -> Any:
         is_mapping = isinstance(record, Mapping)
         if field_name in record if is_mapping else hasattr(record, field_name):
             return value_at_path(record, name)
-    record_types = ", ".join(type(record).__name__ for record in scope)
-    raise AttributeError(f"{record_types}: no field {field_name!r}")
+    types_text = ", ".join(type(record).__name__ for record in scope)
+    raise AttributeError(f"{types_text}: no field {field_name!r}")
 
 
 def _count_text(value: Any, *nouns: str) -> str:

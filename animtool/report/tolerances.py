@@ -11,9 +11,9 @@ from animtool.core.quantities import length_text, percent_hint
 # Default tolerances, which cause no warning [m], [deg], [1].
 LENGTH_TOLERANCE, ANGLE_TOLERANCE, WEIGHT_TOLERANCE = 1e-5, 1e-3, 1e-5
 # Tolerances above this fraction of the compared size cause a warning.
-MAX_FRACTION = 0.25
+MAX_TOLERANCE_FRACTION = 0.25
 # Largest difference of rotations [deg], and of usual weights [1].
-MAX_ANGLE, MAX_WEIGHT = 180.0, 1.0
+MAX_ROTATION, MAX_TYPICAL_WEIGHT = 180.0, 1.0
 
 
 def length_warnings(tolerance: float, largest: float, size: float) -> list[Fault]:
@@ -24,38 +24,40 @@ def length_warnings(tolerance: float, largest: float, size: float) -> list[Fault
         largest: Largest difference [m].
         size: Size of the compared takes or points [m].
     """
-    if not max(MAX_FRACTION * size, LENGTH_TOLERANCE) <= tolerance < math.inf:
+    if not max(MAX_TOLERANCE_FRACTION * size, LENGTH_TOLERANCE) <= tolerance < math.inf:
         return []
     if not LENGTH_TOLERANCE < largest <= tolerance:
         return []
     setting = f"{argument('tolerance')} {length_text(tolerance)}"
-    rest = f"all that is compared measures {length_text(size)}"
+    reason = f"all that is compared measures {length_text(size)}"
     hint = f"a number alone is in metres: for millimetres write {tolerance:g}mm"
-    return [_warning(setting, length_text(largest), rest, hint)]
+    return [_hiding_warning(setting, length_text(largest), reason, hint)]
 
 
-def _warning(setting: str, largest: str, rest: str, hint: str) -> Fault:
+def _hiding_warning(setting: str, largest: str, reason: str, hint: str) -> Fault:
     """Return a warning about a tolerance that hides every difference (CLI107)."""
-    message = f"{setting} hides every difference: the largest is {largest}, and {rest}"
+    message = (
+        f"{setting} hides every difference: the largest is {largest}, and {reason}"
+    )
     return warning("CLI107", message, hint)
 
 
 def angle_warnings(tolerance: float, largest: float) -> list[Fault]:
     """Warn if no rotation can exceed a tolerance [deg] (CLI107)."""
-    if not (MAX_ANGLE <= tolerance < math.inf and largest > ANGLE_TOLERANCE):
+    if not (MAX_ROTATION <= tolerance < math.inf and largest > ANGLE_TOLERANCE):
         return []
     setting = f"{argument('angle_tolerance')} {tolerance:g}"
     hint = "use a smaller angle, or inf to ignore rotations"
-    rest = "no rotation differs by more than 180°"
-    return [_warning(setting, f"{largest:.3g}°", rest, hint)]
+    reason = "no rotation differs by more than 180°"
+    return [_hiding_warning(setting, f"{largest:.3g}°", reason, hint)]
 
 
 def weight_warnings(tolerance: float, largest: float) -> list[Fault]:
     """Warn if a tolerance hides every difference of weights (CLI107)."""
-    if not MAX_WEIGHT <= tolerance < math.inf:
+    if not MAX_TYPICAL_WEIGHT <= tolerance < math.inf:
         return []
     if not WEIGHT_TOLERANCE < largest <= tolerance:
         return []
     setting = f"{argument('weight_tolerance')} {tolerance:g}"
     hint = f"{percent_hint(tolerance)}, or inf to ignore weights"
-    return [_warning(setting, f"{largest:.3g}", "weights are from 0 to 1", hint)]
+    return [_hiding_warning(setting, f"{largest:.3g}", "weights are from 0 to 1", hint)]

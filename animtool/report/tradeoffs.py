@@ -1,4 +1,4 @@
-"""Formats tables of time against error as text."""
+"""Formats tables of cost against error, which `animtool report` measures, as text."""
 
 from __future__ import annotations
 
@@ -62,8 +62,8 @@ _ADVICE_LINES: tuple[Line, ...] = (
 
 
 def _marks_text(row: TrialRow) -> str:
-    marks = {">": row.chosen, "*": row.best, "+": row.recommended}
-    return "".join(mark for mark, is_marked in marks.items() if is_marked)
+    is_marked_by_symbol = {">": row.chosen, "*": row.best, "+": row.recommended}
+    return "".join(mark for mark, is_marked in is_marked_by_symbol.items() if is_marked)
 
 
 def _missing_error_text(row: TrialRow) -> str:
@@ -71,23 +71,23 @@ def _missing_error_text(row: TrialRow) -> str:
     if not row.reason:
         return ""
     text = f"{row.ended}: {row.reason}"
-    step = row.stable_step
-    if step == 0:
+    stable_step = row.stable_step
+    if stable_step == 0:
         text += "; no step is stable"
-    elif step is not None and math.isfinite(step):
-        text += f"; stable up to steps of {plain_number(step)} s"
+    elif stable_step is not None and math.isfinite(stable_step):
+        text += f"; stable up to steps of {plain_number(stable_step)} s"
     return text
 
 
 def _exclusion_reasons(table: TrialTable) -> dict[str, list[str]]:
     """Return the names of excluded methods, grouped by the reason."""
-    causes: dict[str, dict[str, None]] = {}
+    methods_by_reason: dict[str, dict[str, None]] = {}
     for row in table.rows:
         if row.status is None:
             method = row.setting.method
             reason = row.reason.removeprefix(method).strip()
-            causes.setdefault(reason, {})[method] = None
-    return {reason: list(methods) for reason, methods in causes.items()}
+            methods_by_reason.setdefault(reason, {})[method] = None
+    return {reason: list(methods) for reason, methods in methods_by_reason.items()}
 
 
 def _advice_text(table: TrialTable) -> str:
@@ -112,11 +112,10 @@ def _advice_text(table: TrialTable) -> str:
         )
     if current_row.error is None:
         return f"the current setting fails; {recommended_row.setting} works"
-    fraction = _cost(recommended_row, table.cost) / _cost(current_row, table.cost)
+    cost_fraction = _cost(recommended_row, table.cost) / _cost(current_row, table.cost)
     quantity = "time" if table.cost is CostMeasure.SECONDS else str(table.cost)
-    return (
-        f"{recommended_row.setting} is as accurate in {fraction:.0%} of the {quantity}"
-    )
+    cost_text = f"{cost_fraction:.0%} of the {quantity}"
+    return f"{recommended_row.setting} is as accurate in {cost_text}"
 
 
 def _cost(row: TrialRow, measure: CostMeasure) -> float:
@@ -174,7 +173,7 @@ TABLES = Template(
 
 @dataclass(frozen=True, slots=True)
 class TableParts:
-    """Parts of a table for a page: header, cells and advice."""
+    """Texts of a table for an HTML page: header, cells, row classes and advice."""
 
     header: list[str]  # what was measured, and the reference
     rows: list[list[str]]  # cells, header row first
@@ -185,7 +184,7 @@ class TableParts:
 
 
 def table_parts(table: TrialTable) -> TableParts:
-    """Return the parts of a table."""
+    """Format a table as texts for a page; see `TableParts`."""
     rows, left_columns = table_cells(table, _ROW_TABLE, _PRINTERS)
     classes = [
         "chosen" if row.chosen else "recommended" if row.recommended else ""

@@ -61,7 +61,7 @@ class ValidateOptions:
     levels: Mapping[str, Severity | None] = field(default_factory=dict)
 
     def selects(self, code: str) -> bool:
-        """Return whether a code is selected.
+        """Return whether a code is selected, and not ignored or off in the profile.
 
         >>> ValidateOptions(select=("RIG",), ignore=("RIG2",)).selects("RIG201")
         False
@@ -69,15 +69,15 @@ class ValidateOptions:
         selected_length = _prefix_length(code, self.select) if self.select else 0
         if selected_length < 0 or selected_length <= _prefix_length(code, self.ignore):
             return False
-        level_prefix = _longest_prefix(code, self.levels)
-        if level_prefix is None or self.levels[level_prefix] is not None:
+        profile_prefix = _longest_prefix(code, self.levels)
+        if profile_prefix is None or self.levels[profile_prefix] is not None:
             return True
         # A more specific selection overrides the profile.
-        specific_length = max(selected_length, _prefix_length(code, self.severity))
-        return specific_length >= _prefix_length_of(level_prefix)
+        explicit_length = max(selected_length, _prefix_length(code, self.severity))
+        return explicit_length >= _prefix_length_of(profile_prefix)
 
     def with_severity(self, fault: Fault) -> Fault:
-        """Return a finding with its configured severity."""
+        """Return a finding with its severity by the options, or else by the profile."""
         longest_prefix = _longest_prefix(fault.code, self.severity)
         if longest_prefix is not None:
             return replace(fault, severity=self.severity[longest_prefix])
@@ -96,7 +96,10 @@ class ValidateOptions:
         return replace(self, levels=load_profile(self.profile))
 
     def with_profile(self, profile: str | None) -> ValidateOptions:
-        """Return these options with the levels of a file's profile."""
+        """Return these options with the levels of a file's own profile, if any.
+
+        A profile that is chosen by name takes precedence.
+        """
         if self.profile or profile is None:
             return self
         return replace(self, levels=PROFILES[profile].levels)
@@ -114,8 +117,8 @@ class ValidateOptions:
 
 
 FORMATS = ("text", "json", "github", "sarif", "junit")
-_NEEDS_FIX = f"needs {argument('fix', True)}, which writes"
-_NO_REPORT = (
+_NEEDS_FIX_MESSAGE = f"needs {argument('fix', True)}, which writes"
+_NO_REPORT_MESSAGE = (
     f"{argument('diff')} writes a diff, not a report: remove {argument('format')}"
 )
 
@@ -139,7 +142,7 @@ class ReportOptions:
         "output",
         short_flag="-o",
         required_option="fix",
-        missing_message=f"{argument('output')} {_NEEDS_FIX}",
+        missing_message=f"{argument('output')} {_NEEDS_FIX_MESSAGE}",
         help=f"With {argument('fix', True)} and one USD file: write the repaired "
         "copy here.",
     )
@@ -147,7 +150,7 @@ class ReportOptions:
         False,
         "switch",
         required_option="fix",
-        missing_message=f"{argument('overwrite', True)} {_NEEDS_FIX}",
+        missing_message=f"{argument('overwrite', True)} {_NEEDS_FIX_MESSAGE}",
         help=f"With {argument('fix', True)}: replace the file of -o; without -o, the "
         "USD files themselves.",
     )
@@ -155,10 +158,10 @@ class ReportOptions:
         False,
         "switch",
         excludes={
-            "output": f"{argument('output')} {_NEEDS_FIX}",
-            "overwrite": f"{argument('overwrite', True)} {_NEEDS_FIX}",
-            "report_format": _NO_REPORT,
-            "output_file": _NO_REPORT,
+            "output": f"{argument('output')} {_NEEDS_FIX_MESSAGE}",
+            "overwrite": f"{argument('overwrite', True)} {_NEEDS_FIX_MESSAGE}",
+            "report_format": _NO_REPORT_MESSAGE,
+            "output_file": _NO_REPORT_MESSAGE,
         },
         help=f"Show what {argument('fix', True)} would change, and write nothing.",
     )
@@ -202,13 +205,15 @@ def check_codes(options: ValidateOptions, path: str | None = None) -> None:
         if prefix and any(code.startswith(prefix) for code in rules):
             continue
         message = f"no code matches {prefix!r}"
-        corrected = corrected_code(prefix, rules)
+        corrected_prefix = corrected_code(prefix, rules)
         hint = name_hint(prefix, list(rules))
-        if corrected is not None:
-            hint = f"did you mean {corrected!r}, with digits?"
-        elif family := re.match("[A-Z]+", prefix.upper()):
-            is_known = any(code.startswith(family[0]) for code in rules)
-            hint = f"animtool explain {family[0]} lists them" if is_known else hint
+        if corrected_prefix is not None:
+            hint = f"did you mean {corrected_prefix!r}, with digits?"
+        elif prefix_letters := re.match("[A-Z]+", prefix.upper()):
+            is_known = any(code.startswith(prefix_letters[0]) for code in rules)
+            hint = (
+                f"animtool explain {prefix_letters[0]} lists them" if is_known else hint
+            )
         if hint.startswith("allowed"):
             hint = "animtool explain lists them"
         faults.append(Fault("VAL005", message, path, (), hint))
@@ -221,7 +226,7 @@ _PROJECT_SETTINGS = tuple(n for n in options_of(ValidateOptions) if n != "jobs")
 
 
 def settings_of(path: Path) -> ValidateOptions:
-    """Return the project settings of a file."""
+    """Return the options in the ``validate`` table of a file's project settings."""
     config = find_config(path)
     return _parse_options(config.validate, str(config.path))
 
@@ -253,9 +258,9 @@ def _parse_options(table: Any, path: str) -> ValidateOptions:
     profile = table.get("profile", "")
     if not isinstance(profile, str):
         raise value_error("profile", f"{profile!r}, not a name or a file")
-    levels = load_profile(profile, Path(path).parent) if profile else {}
+    profile_levels = load_profile(profile, Path(path).parent) if profile else {}
     options = ValidateOptions(
-        tuple(select), tuple(ignore), severities, profile=profile, levels=levels
+        tuple(select), tuple(ignore), severities, profile=profile, levels=profile_levels
     )
     check_codes(options, path)
     return options

@@ -25,7 +25,7 @@ _ERROR, _WARNING, _NOTE = Severity.ERROR, Severity.WARNING, Severity.NOTE
 
 @dataclass(frozen=True, slots=True)
 class SeverityProfile:
-    """Severities of codes."""
+    """A named set of severities for a kind of delivery."""
 
     about: str  # one-line description of its purpose
     levels: Levels  # severities that replace those of the rules
@@ -100,7 +100,7 @@ PROFILES: dict[str, SeverityProfile] = {
 
 
 def load_profile(name: str, folder: Path | None = None) -> Levels:
-    """Return the levels of a profile, by its name or file."""
+    """Return the severities of a built-in profile, or of a YAML or TOML file."""
     if name in PROFILES:
         return PROFILES[name].levels
     path = Path(name) if folder is None else folder / name
@@ -121,7 +121,7 @@ def _read_document(path: Path) -> Mapping[str, Any]:
 
 
 def _read_toml(path: Path) -> Mapping[str, Any]:
-    """Return a TOML profile, or the severity part of project settings."""
+    """Read a TOML profile, or the severities in project settings (VAL008)."""
     try:
         table = parse_toml(read_input(path, MAX_TEXT_BYTES).decode("utf-8"))
     except FormatError as error:
@@ -134,19 +134,19 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
     return table
 
 
-def _parse_levels(profile: Mapping[str, Any], path: str) -> Levels:
-    for key in profile:
+def _parse_levels(table: Mapping[str, Any], path: str) -> Levels:
+    for key in table:
         if key not in _PROFILE_KEYS:
             hint = f"allowed: {', '.join(_PROFILE_KEYS)}"
             raise _profile_error(f"unknown key {key!r}", path, hint)
-    version = profile.get("profile", _VERSION)
+    version = table.get("profile", _VERSION)
     if version != _VERSION:
         raise _profile_error(f"profile is {version!r}", path, f"write {_VERSION}")
-    base = profile.get("extends", "default")
-    if not isinstance(base, str) or base not in PROFILES:
+    base_name = table.get("extends", "default")
+    if not isinstance(base_name, str) or base_name not in PROFILES:
         hint = f"allowed: {', '.join(PROFILES)}"
-        raise _profile_error(f"extends is {base!r}", path, hint)
-    severities = profile.get("severity", {})
+        raise _profile_error(f"extends is {base_name!r}", path, hint)
+    severities = table.get("severity", {})
     if not isinstance(severities, dict):
         message = f"severity is {severities!r}, not a table of codes"
         hint = "write codes and severities, such as USD25: note"
@@ -159,7 +159,7 @@ def _parse_levels(profile: Mapping[str, Any], path: str) -> Levels:
     # A prefix in the file replaces all codes of the base that it covers.
     base_levels = {
         code: level
-        for code, level in PROFILES[base].levels.items()
+        for code, level in PROFILES[base_name].levels.items()
         if not any(code.startswith(current_codes(prefix)) for prefix in levels)
     }
     return {**base_levels, **levels}

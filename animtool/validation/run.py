@@ -53,14 +53,14 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
         if "\0" in text:
             raise unreadable_error(Path(text), "embedded null byte")
     files: dict[Path, None] = {}
-    unmatched_patterns = []
+    unmatched_warnings = []
     for text in texts:
         matching_paths = [file.path for file in matching_files(text, INPUT_SUFFIXES)]
         files.update(dict.fromkeys(matching_paths))
         if not matching_paths:
             message, hint = f"no file to check in {text!r}", nearest_file(Path(text))
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
-            unmatched_patterns.append(fault)
+            unmatched_warnings.append(fault)
     if not files:
         message = f"no file to check in {', '.join(texts)}"
         if not texts:
@@ -72,7 +72,7 @@ def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
         suggestion = nearest_file(Path(texts[0])) if texts else None
         hint = f"{suggestion}; {hint}" if suggestion else hint
         raise NoMatchError(Fault("VAL006", message, hint=hint))
-    return list(files), unmatched_patterns
+    return list(files), unmatched_warnings
 
 
 Finding = Fault
@@ -80,20 +80,20 @@ Finding = Fault
 # With fewer files, a single process is faster than starting others.
 MIN_FILES_PER_PROCESS = 40
 # Number of files that a process takes at a time.
-CHUNK_FILES = 10
+FILES_PER_CHUNK = 10
 # Findings that another finding in the same file explains, by the codes that do.
-CAUSES = {
+CAUSES_BY_CODE = {
     "MOT209": {"CLIP122", "CLIP123"},
     "MOT213": {"USD126"},
     "RIG204": {"RIG115"},
 }
 # Those of them that only a cause at their location or below explains.
-LOCAL_CODES = {"RIG204"}
+LOCALLY_CAUSED_CODES = {"RIG204"}
 
 
 @dataclass(frozen=True, slots=True)
-class Entry:
-    """A finding as it is listed in reports."""
+class ListedFinding:
+    """A finding in a report, with its state of repair."""
 
     fault: Fault
     fixable: bool = False  # whether `--fix` can fix it
@@ -102,7 +102,7 @@ class Entry:
 
 @dataclass(frozen=True, slots=True)
 class Report:
-    """Result of validation."""
+    """Result of validation: the checked files and their findings."""
 
     files: tuple[Path, ...]  # the validated files, in order
     findings: tuple[Fault, ...]  # findings by file, line and column
@@ -112,19 +112,19 @@ class Report:
     # Findings that were fixed before, and how.
     mended: tuple[tuple[Fault, str], ...] = ()
     json_keys: ClassVar[str] = (
-        "'validate' files findings=entries{*fault fixable} "
+        "'validate' files findings=listed_findings{*fault fixable} "
         "mended=repairs{*fault done} summary"
     )
 
     @property
-    def entries(self) -> list[Entry]:
+    def listed_findings(self) -> list[ListedFinding]:
         """The findings, marked if fixable."""
-        return [Entry(fault, fault in self.fixable) for fault in self.findings]
+        return [ListedFinding(fault, fault in self.fixable) for fault in self.findings]
 
     @property
-    def repairs(self) -> list[Entry]:
+    def repairs(self) -> list[ListedFinding]:
         """The fixed findings, each with a description of the fix."""
-        return [Entry(fault, done=fix_text) for fault, fix_text in self.mended]
+        return [ListedFinding(fault, done=fix_text) for fault, fix_text in self.mended]
 
     @property
     def summary(self) -> dict[str, int]:
@@ -132,7 +132,7 @@ class Report:
         return {str(kind): self.count(kind) for kind in Severity}
 
     def with_argument_names(self, namer: ArgumentNamer) -> Report:
-        """Return a copy whose texts name arguments as an interface does."""
+        """Return a copy with argument names as in an interface, such as ``--fix``."""
         return replace(
             self,
             findings=tuple(fault.with_argument_names(namer) for fault in self.findings),
@@ -196,17 +196,19 @@ def validate_files(
     options = (options or ValidateOptions()).with_profile_levels()
     check_codes(options)
     files = tuple(dict.fromkeys(files))
-    file_by_folder = {path.parent: path for path in files}
-    projects = {folder: settings_of(path) for folder, path in file_by_folder.items()}
-    settings = [options.merged_over(projects[path.parent]) for path in files]
+    file_of_folder = {path.parent: path for path in files}
+    folder_options = {
+        folder: settings_of(path) for folder, path in file_of_folder.items()
+    }
+    file_options = [options.merged_over(folder_options[path.parent]) for path in files]
     _, failed_rules = all_rules()
     values_by_scene = values_of_batches(files)
-    values = [
+    file_values = [
         values_by_scene.get(path.resolve()) if values_by_scene else None
         for path in files
     ]
     faults_by_file = _findings_of_files(
-        files, settings, values, _process_count(options.jobs, len(files))
+        files, file_options, file_values, _process_count(options.jobs, len(files))
     )
     names = {path.resolve(): str(path) for path in files}
     findings = {
@@ -223,21 +225,23 @@ def _process_count(jobs: int | None, file_count: int) -> int:
 
 def _findings_of_files(
     files: Sequence[Path],
-    settings: Sequence[ValidateOptions],
-    values: Sequence[SceneValues | None],
+    file_options: Sequence[ValidateOptions],
+    file_values: Sequence[SceneValues | None],
     process_count: int,
 ) -> Iterator[list[Fault]]:
     faults = None
     # Which file crashed before is known only in this process.
     if process_count > 1 and not has_crashed():
-        faults = _findings_in_processes(files, settings, values, process_count)
-    yield from map(_check_file, files, settings, values) if faults is None else faults
+        faults = _findings_in_processes(files, file_options, file_values, process_count)
+    yield from (
+        map(_check_file, files, file_options, file_values) if faults is None else faults
+    )
 
 
 def _findings_in_processes(
     files: Sequence[Path],
-    settings: Sequence[ValidateOptions],
-    values: Sequence[SceneValues | None],
+    file_options: Sequence[ValidateOptions],
+    file_values: Sequence[SceneValues | None],
     process_count: int,
 ) -> list[list[Fault]] | None:
     """Validate files in several processes; return the reported findings of each file.
@@ -254,7 +258,11 @@ def _findings_in_processes(
         with ProcessPoolExecutor(process_count, context, follow_parent) as pool:
             with without_interrupts(), without_main():
                 results = pool.map(
-                    _check_file, files, settings, values, chunksize=CHUNK_FILES
+                    _check_file,
+                    files,
+                    file_options,
+                    file_values,
+                    chunksize=FILES_PER_CHUNK,
                 )
             return list(results)
     except BrokenExecutor:
@@ -264,7 +272,10 @@ def _findings_in_processes(
 def _check_file(
     path: Path, options: ValidateOptions, values: SceneValues | None
 ) -> list[Fault]:
-    """Return the reported findings of one file, with values of scene variables."""
+    """Return the selected findings of one file, with their configured severities.
+
+    values: Values of the variables of a scene, from a batch file.
+    """
     try:
         checked_file = open_file(path, values)
     except AnimtoolError as error:
@@ -305,9 +316,9 @@ def findings_in(checked_file: CheckedFile) -> list[Fault]:
 
 
 def _is_explained(fault: Fault, faults: Sequence[Fault]) -> bool:
-    """Return whether another finding states the cause of a finding."""
-    causes = CAUSES.get(fault.code, ())
-    location = (fault.where or "") if fault.code in LOCAL_CODES else ""
+    """Return whether another finding is the cause of one, by `CAUSES_BY_CODE`."""
+    causes = CAUSES_BY_CODE.get(fault.code, ())
+    location = (fault.where or "") if fault.code in LOCALLY_CAUSED_CODES else ""
     return any(
         other.code in causes and (other.where or "").startswith(location)
         for other in faults
@@ -324,7 +335,7 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
     subjects = _rule_subjects(rule, checked_file)
     if not subjects:
         raise FormatError(checked_file.faults)
-    return [fault for subject in subjects for fault in _faults_of(rule, subject)]
+    return [fault for subject in subjects for fault in _rule_findings(rule, subject)]
 
 
 def _rule_subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
@@ -334,8 +345,8 @@ def _rule_subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
     return () if checked_file.subject is None else (checked_file.subject,)
 
 
-def _faults_of(rule: Rule, subject: object) -> Iterator[Fault]:
-    """Yield the findings of a rule; notes stay notes."""
+def _rule_findings(rule: Rule, subject: object) -> Iterator[Fault]:
+    """Yield a rule's findings in a subject with the rule's severity, except notes."""
     for fault in rule.load()(subject):
         is_note = fault.severity is Severity.NOTE
         yield fault if is_note else replace(fault, severity=rule.severity)
@@ -347,13 +358,13 @@ def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
         return [
             fault
             for subject in _rule_subjects(rule, checked_file)
-            for fault in _faults_of(rule, subject)
+            for fault in _rule_findings(rule, subject)
         ]
     except Exception as error:
         document = checked_file.document
         path = None if document is None else str(document.path)
-        kind = type(error).__name__
-        message = f"rule {rule.code} failed: {kind}: {excerpt(str(error), 200)}"
+        error_type = type(error).__name__
+        message = f"rule {rule.code} failed: {error_type}: {excerpt(str(error), 200)}"
         hint = "please report it to the author of the rule"
         return [Fault("VAL003", message, path, (), hint)]
 

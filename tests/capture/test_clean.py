@@ -204,7 +204,7 @@ def test_what_would_be_most_of_a_channel_is_no_spike() -> None:
     motion = replace(take.motion, translations=Channel.from_dense(shifts))
     options = CleanOptions(spikes=4, keep_noise=True)
     _, signals = clean_take(replace(take, motion=motion), options)
-    (found,) = [one.spikes for one in signals if one.spikes and not one.rotation]
+    (found,) = [one.spikes for one in signals if one.spikes and not one.is_rotation]
     assert found == tuple(np.flatnonzero(large).tolist())
 
 
@@ -224,7 +224,7 @@ def test_the_noise_of_a_rotation_is_an_angle(rate: int) -> None:
     dirty = noisy(replace(still, motion=motion, clock=clock), 0.02, 0.003)
     _, signals = clean_take(dirty, CleanOptions(keep_noise=True))
     for rotation, expected in ((True, 0.02), (False, 0.003)):
-        found = [one.noise for one in signals if one.rotation == rotation]
+        found = [one.noise for one in signals if one.is_rotation == rotation]
         assert np.mean(found) == pytest.approx(expected, rel=0.05)
 
 

@@ -245,13 +245,17 @@ def test_what_distances_say_of_names() -> None:
         found.append(own.total_evidence())
     grown = own.copy()
     grown.assign_greedily()
-    found += [grown.names_of, grown.total_evidence(), grown.scarce_markers()]
+    found += [grown.point_markers, grown.total_evidence(), grown.scarce_markers()]
     grown.improve()
-    found += [grown.names_of, grown.total_evidence(), grown.most_doubtful(set()) or ()]
+    found += [
+        grown.point_markers,
+        grown.total_evidence(),
+        grown.most_doubtful_point(set()) or (),
+    ]
     grown.force_name(2, 5, np.arange(9) % 2 == 0)
-    found += [grown.names_of, grown.total_evidence()]
+    found += [grown.point_markers, grown.total_evidence()]
     best = search_names(grown, REST, [{0: 0, 1: 1, 2: 2}, {3: 4, 4: 3, 7: 7}])
-    found += [best.names_of, best.total_evidence()]
+    found += [best.point_markers, best.total_evidence()]
     a, b = np.array([0.3, 0.2, np.nan]), np.array([0.001, 0.02, 0.01])
     found += [
         rest_evidence(a, b, REST[0, 1:5]),
@@ -295,12 +299,12 @@ def test_runs_of_points_and_their_costs() -> None:
     labels._update_distances()
     some = range(0, len(runs.first), 3)
     costs = [labels._marker_costs(run) for run in some]
-    jumps = [labels._step_costs(*_path(labels, run)) for run in some]
+    jumps = [labels._gap_costs(*_path(labels, run)) for run in some]
     labels.name_runs()
     check_figures(
         __file__,
         "runs",
-        [runs.ids, runs.first, runs.last, costs, jumps, labels.names_of,
+        [runs.ids, runs.first, runs.last, costs, jumps, labels.run_markers,
          labels.marker_paths()],
     )  # fmt: skip
 
@@ -426,7 +430,7 @@ def test_what_says_that_frames_are_spikes() -> None:
         for length in (1, 3, 4):
             starts, *rest = spikes._span_deviations(path, seen, length, rough)
             found += [starts, *rest, spikes._is_one_sided(seen, starts, length)]
-            found += [spikes._local_level(starts, rest[1] * 1e6, len(path))]
+            found += [spikes._local_noise(starts, rest[1] * 1e6, len(path))]
         found += [
             spikes._is_gap_artifact(path, seen, first, length, rough, noise[0] ** 2)
             for first in range(52, 80, 3)

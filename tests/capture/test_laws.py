@@ -75,7 +75,7 @@ from animtool.capture.markers.predict import (
 from animtool.capture.markers.runs import TrackletLabels, _merge_known_distances
 from animtool.capture.markers.spikes import (
     _is_one_sided,
-    _local_level,
+    _local_noise,
     _noise_model,
     _span_deviations,
 )
@@ -87,7 +87,7 @@ from animtool.capture.markers.tracklets import (
     track_points,
 )
 from animtool.capture.options import TriangulateOptions
-from animtool.capture.solve.sampling import sampled_frames, typical_noise
+from animtool.capture.solve.sampling import fullest_frames, residual_noise
 from animtool.capture.templates.match import match_markers
 from animtool.capture.templates.template import (
     MarkerTemplate,
@@ -536,8 +536,8 @@ def test_a_run_costs_what_it_jumps_and_where_it_is_off() -> None:
     own.marker_positions[:10, 2] = positions[:10, 2]
     path = positions[11:, 2] + [0.006, 0, 0]
     allowed = 0.004 + 0.5 * 60 * 0.02**2 + 0.3 * 0.02
-    assert own._step_costs(path, 11, 30)[2] == pytest.approx((0.006 / allowed) ** 2)
-    assert own._step_costs(path + np.array([1.0, 0, 0]), 11, 30)[2] == 2
+    assert own._gap_costs(path, 11, 30)[2] == pytest.approx((0.006 / allowed) ** 2)
+    assert own._gap_costs(path + np.array([1.0, 0, 0]), 11, 30)[2] == 2
 
 
 @pytest.mark.parametrize(
@@ -562,7 +562,7 @@ def test_runs_are_named_by_distances_and_ghosts_are_not(
     positions = np.concatenate([body, ghost], axis=1)
     own = TrackletLabels(positions, runs, 100.0, np.array([*given, -1]), rest)
     own.name_runs()
-    assert own.names_of.tolist() == [*wanted, 5]
+    assert own.run_markers.tolist() == [*wanted, 5]
     assert_array_equal(own.marker_paths()[:, :6], body)
 
 
@@ -662,7 +662,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen = np.ones(40, bool)
     for length in (1, 2):
         starts, off, gain, rest = _span_deviations(
-            path, seen, length, 0.01, complete=True
+            path, seen, length, 0.01, is_complete=True
         )
         assert starts.tolist() == list(range(7, 40 - 7 - length + 1))
         assert np.abs(off).max() < 1e-9
@@ -674,7 +674,7 @@ def test_what_is_off_the_curve_of_frames_around() -> None:
     seen[10:20] = False
     found = _is_one_sided(seen, np.array([0, 5, 20, 22, 33, 39]), 1).tolist()
     assert found == [True, False, True, False, False, True]
-    level = _local_level(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
+    level = _local_noise(np.arange(100), np.where(np.arange(100) < 50, 0.1, 6.3), 100)
     assert (level[0], level[99]) == (1, pytest.approx(10))
     assert level.min() == 1
 
@@ -774,20 +774,20 @@ def test_frames_that_are_sampled_have_most_markers() -> None:
     positions[4:8] = np.nan
     positions[5, :3] = 0.0
     positions[9, 0] = np.nan
-    found = sampled_frames(positions, 3).tolist()
+    found = fullest_frames(positions, 3).tolist()
     assert found == [2, 5, 8]
     positions[5, 1] = np.nan
-    assert sampled_frames(positions, 3).tolist() == [2, 8]
-    assert len(sampled_frames(positions[:3], 9)) <= 3
+    assert fullest_frames(positions, 3).tolist() == [2, 8]
+    assert len(fullest_frames(positions[:3], 9)) <= 3
     misses = np.full((10, 3), 1.538)
     misses[:, 1] = 3 * 1.538
     misses[:, 2] = 0.1
     misses[4:, 1] = np.nan
-    assert_allclose(typical_noise(misses, 0.01), [1, 1, 0.5])
+    assert_allclose(residual_noise(misses, 0.01), [1, 1, 0.5])
     misses[4, 1] = 3 * 1.538
-    assert_allclose(typical_noise(misses, 0.01), [1, 3, 0.5])
-    assert_allclose(typical_noise(misses, 2.0), [2, 3, 2])
-    assert_allclose(typical_noise(misses * np.nan, 0.01), 0.01)
+    assert_allclose(residual_noise(misses, 0.01), [1, 3, 0.5])
+    assert_allclose(residual_noise(misses, 2.0), [2, 3, 2])
+    assert_allclose(residual_noise(misses * np.nan, 0.01), 0.01)
 
 
 MARKERS = (
@@ -872,22 +872,22 @@ def test_a_camera_that_turned_is_stale_and_the_others_have_their_noise() -> None
     clock = Clock(Fraction(30), Fraction(1), Fraction(1), 40)
     seen = Observations(tuple("abcdefgh"), clock, pixels)
     found = measure_noise(seen, cameras, 5.0, 6600.0)
-    assert found.cameras_agree
+    assert found.do_cameras_agree
     assert list(found.pose_changes) == [2]
     assert found.pose_changes[2].angle == pytest.approx(0.05, rel=0.1)
-    assert_allclose(found.pixels, 0.5, rtol=0.2)
+    assert_allclose(found.deviations_px, 0.5, rtol=0.2)
     good = pixels.copy()
     good[:, 2] = project(cameras[2], points) + rng.normal(0, 0.5, (40, 8, 2))
     found = measure_noise(replace(seen, stored=good), cameras, 5.0, 6600.0)
-    assert (found.cameras_agree, found.pose_changes) == (True, {})
-    assert_allclose(found.pixels, 0.5, rtol=0.2)
+    assert (found.do_cameras_agree, found.pose_changes) == (True, {})
+    assert_allclose(found.deviations_px, 0.5, rtol=0.2)
     # All alike, they have one noise; one that is twice as noisy has its own.
-    assert np.ptp(found.pixels) == 0
+    assert np.ptp(found.deviations_px) == 0
     loud = good.copy()
     loud[:, 1] += rng.normal(0, 1.0, (40, 8, 2))
     found = measure_noise(replace(seen, stored=loud), cameras, 5.0, 6600.0)
-    assert found.pixels[1] > 1.5 * found.pixels[0]
-    assert np.ptp(np.delete(found.pixels, 1)) == 0
+    assert found.deviations_px[1] > 1.5 * found.deviations_px[0]
+    assert np.ptp(np.delete(found.deviations_px, 1)) == 0
 
 
 @pytest.mark.parametrize("keep", [False, True])
@@ -920,25 +920,27 @@ def test_cameras_are_left_out_where_they_moved_the_worst_first(
         return found.pop(0) if found else None
 
     monkeypatch.setitem(
-        _TriangulationRun._exclude_shifted.__globals__, "find_shifted_ranges", worst
+        _TriangulationRun._exclude_shifted_cameras.__globals__,
+        "find_shifted_ranges",
+        worst,
     )
     solved: list[tuple[int, int]] = []
     run: Any = SimpleNamespace(
         observations=SimpleNamespace(clock=SimpleNamespace(rate=Fraction(25))),
-        active=np.ones((6, 3), bool),
+        is_active=np.ones((6, 3), bool),
         shifts=[[], [], [PoseShift(4, 6, 0.5)]],
-        views=9,
-        tallies=SimpleNamespace(of_triangulated=0, rejected=0),
+        view_count=9,
+        counts=SimpleNamespace(tested=0, rejected=0),
         options=TriangulateOptions(keep_moved=keep),
         _mark_kept_ranges=lambda _, ranges: ranges,
         _with_pose_change=lambda _, each: each,
         _solve_frames=lambda first, end: solved.append((first, end)),
     )
-    _TriangulationRun._exclude_shifted(run)
+    _TriangulationRun._exclude_shifted_cameras(run)
     active = np.ones((6, 3), bool)
     if not keep:
         active[2:4, 1] = active[:3, 0] = active[5, 0] = False
-    assert_array_equal(run.active, active)
+    assert_array_equal(run.is_active, active)
     assert solved == ([] if keep else [(2, 4), (0, 3), (5, 6)])
     checked = np.ones((6, 3), bool)
     checked[4:, 2] = False

@@ -23,7 +23,7 @@ from animtool.capture.cameras.report import (
     ObservationCounts,
     camera_notices,
     gap_notices,
-    lost_frames,
+    lost_frame_notices,
 )
 from animtool.capture.cameras.stale import (
     CameraDisagreement as Disagreement,
@@ -37,9 +37,9 @@ from animtool.capture.clean import (
     CleanOptions,
     _check_cutoff,
     _check_spikes,
+    _find_spikes,
     _roughness,
     _run_deviations,
-    _spike_frames,
     bridge_gaps,
     cleaning_notices,
     noise_scores,
@@ -48,9 +48,9 @@ from animtool.capture.face.capture import FaceCapture, order_landmarks, read_cap
 from animtool.capture.face.model import FaceModel
 from animtool.capture.face.poses import interpolate_poses
 from animtool.capture.face.solve import (
-    _check,
+    _check_landmarks,
+    _merge_shapes,
     _notices,
-    _solved_shapes,
 )
 from animtool.capture.markers.skeleton import DRIFT_PER_SECOND, SkeletonMarkers
 from animtool.capture.options import FillOptions, SolveOptions, TriangulateOptions
@@ -86,8 +86,8 @@ def test_tallies_become_errors() -> None:
     none = own.report(1, "b", 0.7, ())
     assert (none.observed, none.outliers) == (0, 0)
     assert np.isnan([none.error_px, none.error_mm]).all()
-    assert own.errors() == pytest.approx((2, 200))
-    assert (own.used[1, 0], own.of_triangulated[0, 0], own.rejected[0, 0]) == (2, 9, 1)
+    assert own.reprojection_errors() == pytest.approx((2, 200))
+    assert (own.used[1, 0], own.tested[0, 0], own.rejected[0, 0]) == (2, 9, 1)
 
 
 @pytest.mark.parametrize(
@@ -148,10 +148,12 @@ def test_frames_that_are_lost_and_points_that_are_gaps() -> None:
     places[4, :3] = np.nan
     places[6, :2] = np.nan
     seen[6, 2:5] = False
-    (one,) = lost_frames(places, seen, CLOCK, "p")
+    (one,) = lost_frame_notices(places, seen, CLOCK, "p")
     assert (one.code, one.path) == ("CAM112", "p")
     assert "in 1 frame: 3;" in one.message
-    assert not list(lost_frames(places[2:3], seen[2:3], replace(CLOCK, count=1), "p"))
+    assert not list(
+        lost_frame_notices(places[2:3], seen[2:3], replace(CLOCK, count=1), "p")
+    )
     places[:, 5] = np.nan
     first, second = gap_notices("abcdef", places, 57, "p")
     assert (first.code, second.code) == ("CAM104", "CAM105")
@@ -208,17 +210,17 @@ def test_spikes_of_a_signal_are_off_both_lines_and_both_ends() -> None:
     signal[:, 0] = 0.1 * np.arange(30)
     signal[10:12, 1] = 1.0
     signal[20, 2] = -0.5
-    bad = _spike_frames(signal, 3, 0.2, rotation=False)
+    bad = _find_spikes(signal, 3, 0.2, is_rotation=False)
     assert np.flatnonzero(bad).tolist() == [10, 11, 20]
-    assert np.flatnonzero(_spike_frames(signal, 1, 0.2, rotation=False)).tolist() == [
+    assert np.flatnonzero(_find_spikes(signal, 1, 0.2, is_rotation=False)).tolist() == [
         20
     ]
-    assert not _spike_frames(signal, 0, 0.2, rotation=False).any()
-    assert np.flatnonzero(_spike_frames(signal, 3, 0.7, rotation=False)).tolist() == [
+    assert not _find_spikes(signal, 0, 0.2, is_rotation=False).any()
+    assert np.flatnonzero(_find_spikes(signal, 3, 0.7, is_rotation=False)).tolist() == [
         10,
         11,
     ]
-    sizes = dict(_run_deviations(signal, 2, rotation=False))
+    sizes = dict(_run_deviations(signal, 2, is_rotation=False))
     assert sorted(sizes) == [1, 2]
     assert sizes[1][18] == pytest.approx(0.5)
     assert sizes[2][8] == pytest.approx(1.0)
@@ -226,7 +228,7 @@ def test_spikes_of_a_signal_are_off_both_lines_and_both_ends() -> None:
     bent[4:, 0] = np.arange(5)
     assert _roughness(bent).tolist() == [0] * 9
     assert _roughness(bent[:2]).tolist() == [0, 0]
-    across = bridge_gaps(signal[:15], ~bad[:15], rotation=False)
+    across = bridge_gaps(signal[:15], ~bad[:15], is_rotation=False)
     assert np.abs(across[10:12, 1]).max() < 0.05
     assert_array_equal(across[~bad[:15]], signal[:15][~bad[:15]])
     turns = np.array([[0.0, 0, 0, 1], [0, 0, 0, -1]])
@@ -291,8 +293,8 @@ def test_landmarks_go_by_their_names_or_their_number() -> None:
     rows = np.arange(2.0 * 6 * 3).reshape(2, 6, 3)
     plain = FaceCapture(Path("a"), None, CLOCK, rows)
     assert order_landmarks(plain, own) == (rows, [])
-    assert not plain.pixels
-    assert replace(plain, points=rows[..., :2]).pixels
+    assert not plain.is_in_pixels
+    assert replace(plain, points=rows[..., :2]).is_in_pixels
     named = replace(plain, names=tuple("fexdcb"))
     made, told = order_landmarks(named, own)
     assert_array_equal(made[:, 5], rows[:, 0])
@@ -323,16 +325,16 @@ def test_faces_of_other_sizes_and_numbers_are_refused() -> None:
         (seen, np.ones(4), "FAC004"),
     ):  # fmt: skip
         if code is None:
-            _check(own, observed, camera)
+            _check_landmarks(own, observed, camera)
             continue
         with pytest.raises(OptionError) as error:
-            _check(own, observed, camera)
+            _check_landmarks(own, observed, camera)
         assert error.value.code == code
-    kept, share = _solved_shapes(own, own.shapes_with_motion())
+    kept, share = _merge_shapes(own, own.shapes_with_motion())
     assert (kept.tolist(), share.tolist()) == ([True, False, True], [0, 0, 2])
     three = FaceModel(tuple("abc"), ("X",), POINTS[:3], np.ones((1, 3, 3)))
     with pytest.raises(OptionError):
-        _check(three, seen[:, :3], None)
+        _check_landmarks(three, seen[:, :3], None)
 
 
 def test_heads_between_frames_with_landmarks_are_between_their_poses() -> None:

@@ -28,7 +28,7 @@ from animtool.core.errors import AnimtoolError, Fault
 from animtool.motion.take import Take
 from animtool.rig.body_size import find_feet
 from animtool.scene.sources.open import open_source
-from animtool.validation.motion.size import body_axis
+from animtool.validation.motion.size import tilted_stance
 from animtool.validation.motion.subject import MotionSubject
 
 HEADING = "faults planted in real captures: found | of"
@@ -100,7 +100,7 @@ def _middle(take: Take) -> Take:
 
 
 def _lies(take: Take) -> bool:
-    return body_axis(MotionSubject(take, lambda *_: Fault("", ""))) is not None
+    return tilted_stance(MotionSubject(take, lambda *_: Fault("", ""))) is not None
 
 
 @pytest.mark.slow(0.5)

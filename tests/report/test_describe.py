@@ -25,7 +25,7 @@ def test_numbers(tmp_path: Path, monkeypatch) -> None:  # type: ignore[no-untype
     rows = random_rows(30)
     rows[:, 6:] = 5.0
     path.write_text(small_bvh(rows, frame_time="0.0417083750417"))
-    monkeypatch.setattr(module, "FRAMES_AT_ONCE", 7)
+    monkeypatch.setattr(module, "BLOCK_FRAMES", 7)
     found = describe(path)
     truth = read_reference(path).positions(np.arange(30))
     assert_allclose(found.bounds[0], truth.min(axis=(0, 1)), rtol=1e-12)

@@ -17,11 +17,12 @@ import numpy as np
 
 from animtool.capture.cameras.camera import (
     DEFAULT_CAMERA_NAME,
+    MAX_IMAGE_SIDE,
     Camera,
     Cameras,
     nearest_rotation,
 )
-from animtool.capture.cameras.plausible import warn_of_focals, warn_of_spread
+from animtool.capture.cameras.plausible import warn_of_focal_lengths, warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.config import parse_toml
 from animtool.core.errors import Fault, FormatError, excerpt, listed
@@ -52,12 +53,12 @@ _SIZE_KEYS = (("width", "height"), ("image_width", "image_height"))
 # OpenCV's numbers of distortion coefficients. Those after the eighth, for a thin prism
 # and a tilted sensor, are not modelled.
 _COEFFICIENT_COUNTS = (0, 4, 5, 8, 12, 14)
-MODELLED_COEFFICIENTS = 8
+MAX_MODELLED_COEFFICIENTS = 8
 _TOML_TABLE = re.compile(r"^\s*\[\s*\"?([^\"\]]+?)\"?\s*\]")
 
 
 def read_camera_document(path: Path) -> Document:
-    """Return a camera file as a document: YAML, JSON, TOML or OpenCV storage."""
+    """Parse a camera file in YAML, JSON, TOML or OpenCV storage to a document."""
     text = read_text(path)
     if path.suffix.lower() == ".toml":
         return _parse_toml(text, path)
@@ -86,32 +87,32 @@ def _parse_toml(text: str, path: Path) -> Document:
     positions = [(1, 1)]
     for key, table_value in value.items():
         line = line_of_table.get(key, 1)
-        positions += [(line, 1)] * (1 + _node_count(table_value))
+        positions += [(line, 1)] * (1 + _count_nodes(table_value))
     return Document(path, value, lambda: SourceMarks(positions, {}))
 
 
-def _node_count(value: Any) -> int:
+def _count_nodes(value: Any) -> int:
     """Return the number of document nodes of a value, counted with keys and items."""
     if isinstance(value, dict):
-        return 1 + len(value) + sum(map(_node_count, value.values()))
-    return 1 + sum(map(_node_count, value)) if isinstance(value, list) else 1
+        return 1 + len(value) + sum(map(_count_nodes, value.values()))
+    return 1 + sum(map(_count_nodes, value)) if isinstance(value, list) else 1
 
 
 def parse_calibration(
     document: Document, unit: LengthUnit | None, up: UpAxis | None
 ) -> Cameras:
-    """Convert the calibration document of another program to cameras."""
+    """Convert a calibration of OpenCV, Pose2Sim or anipose to cameras."""
     stated_unit = _stated_unit(document)
     unit = unit or stated_unit or LengthUnit.M
     scale = unit.meters
-    entries = list(_find_camera_entries(document.value))
-    if not entries:
+    camera_tables = list(_find_camera_tables(document.value))
+    if not camera_tables:
         message = "holds no cameras"
         hint = "animtool reads cameras: animtool/1, OpenCV, Pose2Sim and anipose"
         document.add("CAM003", (), message, hint)
     cameras: list[Camera] = []
-    for location, name, entry in entries:
-        camera = _CalibrationEntry(document, location, entry).read_camera(name, scale)
+    for location, name, table in camera_tables:
+        camera = _CameraTable(document, location, table).read_camera(name, scale)
         if camera is None:
             continue
         if camera.name in {earlier_camera.name for earlier_camera in cameras}:
@@ -119,9 +120,13 @@ def parse_calibration(
             document.add("CAM002", location, message)
         cameras.append(camera)
     document.check()
-    source: Location = () if stated_unit is None else ("units",)
-    warn_of_spread(document, source, cameras, unit, is_stated=stated_unit is not None)
-    warn_of_focals(document, [location for location, _, _ in entries], cameras)
+    unit_location: Location = () if stated_unit is None else ("units",)
+    warn_of_spread(
+        document, unit_location, cameras, unit, is_unit_stated=stated_unit is not None
+    )
+    warn_of_focal_lengths(
+        document, [location for location, _, _ in camera_tables], cameras
+    )
     notices = tuple(document.notices)
     return Cameras(tuple(cameras), up or UpAxis.Y, str(document.path), notices)
 
@@ -141,40 +146,40 @@ def _stated_unit(document: Document) -> LengthUnit | None:
     return None
 
 
-def _find_camera_entries(
+def _find_camera_tables(
     value: dict[str, Any],
 ) -> Iterator[tuple[Location, str, dict[str, Any]]]:
-    """Yield the cameras of a calibration: locations, names and values."""
+    """Yield location, default name and table of each camera in a calibration."""
     camera_list = value.get("cameras")
     if isinstance(camera_list, list):
-        for i, entry in enumerate(camera_list):
-            if isinstance(entry, dict):
-                yield ("cameras", i), f"cam{i:02d}", entry
+        for i, table in enumerate(camera_list):
+            if isinstance(table, dict):
+                yield ("cameras", i), f"cam{i:02d}", table
     elif _is_camera(value):
         yield (), DEFAULT_CAMERA_NAME, value
     else:
         tables = camera_list if isinstance(camera_list, dict) else value
-        prefix: Location = ("cameras",) if isinstance(camera_list, dict) else ()
-        for name, entry in tables.items():
-            if isinstance(entry, dict) and _is_camera(entry):
-                yield (*prefix, name), name, entry
+        parent: Location = ("cameras",) if isinstance(camera_list, dict) else ()
+        for name, table in tables.items():
+            if isinstance(table, dict) and _is_camera(table):
+                yield (*parent, name), name, table
 
 
 def _is_camera(value: Mapping[str, Any]) -> bool:
-    """Return whether a value has a camera matrix."""
+    """Return whether a table has a camera matrix, under any of its names."""
     return any(key in value for key in _QUANTITY_KEYS["matrix"])
 
 
 @dataclass(frozen=True, slots=True)
-class _CalibrationEntry:
-    """A camera of a calibration, with its location in the document."""
+class _CameraTable:
+    """The table of one camera in a calibration; records faults in its document."""
 
     document: Document
     location: Location
     value: dict[str, Any]
 
     def read_camera(self, name: str, scale: float) -> Camera | None:
-        """Return the camera of the entry; None and its faults if it is invalid."""
+        """Convert the table to a camera; record faults and return None if invalid."""
         if self.value.get("fisheye") is True:
             message = "fisheye lenses are not supported"
             hint = "undistort the pixels first, and write a lens without distortion"
@@ -201,13 +206,13 @@ class _CalibrationEntry:
             translation * scale,
             size,
             float(matrix[0, 1]),
-            (*lens.ravel().tolist(), *[0.0] * MODELLED_COEFFICIENTS)[
-                :MODELLED_COEFFICIENTS
+            (*lens.ravel().tolist(), *[0.0] * MAX_MODELLED_COEFFICIENTS)[
+                :MAX_MODELLED_COEFFICIENTS
             ],
         )
 
     def _key_of(self, quantity: str) -> str | None:
-        """Return the key of a quantity that the entry has; None without one."""
+        """Return the first of a quantity's names that the table has, or None."""
         return next(
             (key for key in _QUANTITY_KEYS[quantity] if key in self.value), None
         )
@@ -267,9 +272,9 @@ class _CalibrationEntry:
 
     def _check_matrix(self, matrix: FloatArray) -> bool:
         """Return whether a matrix is a camera matrix; record a fault otherwise."""
-        fixed_entries = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]
+        constant_elements = [*matrix[1:, 0], matrix[2, 1], matrix[2, 2] - 1]
         is_valid = (
-            matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(fixed_entries, 0)
+            matrix[0, 0] > 0 and matrix[1, 1] > 0 and np.allclose(constant_elements, 0)
         )
         if not is_valid:
             hint = "write [[fx, s, cx], [0, fy, cy], [0, 0, 1]] with fx and fy above 0"
@@ -295,7 +300,7 @@ class _CalibrationEntry:
             message = f"{value.size} numbers do not make an OpenCV lens"
             self._add_fault("CAM003", "distortion", message)
             return False
-        if value.ravel()[MODELLED_COEFFICIENTS:].any():
+        if value.ravel()[MAX_MODELLED_COEFFICIENTS:].any():
             message = "thin prisms and tilted sensors are not supported"
             hint = "calibrate without them: k1, k2, p1, p2, k3 to k6"
             self._add_fault("CAM003", "distortion", message, hint)
@@ -315,7 +320,7 @@ class _CalibrationEntry:
             sides = [int(side) for side in size]
         except (TypeError, ValueError, OverflowError):
             sides = []
-        if len(sides) != 2 or not all(0 < side <= 100_000 for side in sides):
+        if len(sides) != 2 or not all(0 < side <= MAX_IMAGE_SIDE for side in sides):
             message = "is not the width and height of an image"
             self.document.add("CAM003", (*self.location, key), message)
             return None

@@ -22,6 +22,9 @@ DEFAULT_CAMERA_NAME = "cam00"
 # How far a matrix may be from a rotation: files round to three digits and more.
 ROTATION_TOLERANCE = 5e-3
 _NEWTON_STEPS = 20
+MAX_CAMERAS = 256
+# Largest side of an image [px].
+MAX_IMAGE_SIDE = 100_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +61,10 @@ class Camera:
     @property
     def kernel_parameters(self) -> FloatArray:
         """Parameters for kernels: focal, centre, skew, lens, R, t, size ``(27,)``."""
-        lens = (*self.focal, *self.centre, self.skew, *self.distortion)
+        lens_parameters = (*self.focal, *self.centre, self.skew, *self.distortion)
         size = self.size or (0, 0)
-        pose = (self.rotation.ravel(), self.translation)
-        return np.concatenate([lens, *pose, size])
+        pose_parameters = (self.rotation.ravel(), self.translation)
+        return np.concatenate([lens_parameters, *pose_parameters, size])
 
 
 rename_attributes(Camera, numbers="kernel_parameters")
@@ -69,7 +72,7 @@ rename_attributes(Camera, numbers="kernel_parameters")
 
 @dataclass(frozen=True, slots=True)
 class Cameras:
-    """The cameras of a capture.
+    """All calibrated cameras of a capture, with the up axis of their world.
 
     Attributes:
         cameras: Cameras in the order of the file.
@@ -85,7 +88,7 @@ class Cameras:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Camera names, in the order of the file."""
+        """Names of the cameras, in the order of `cameras`."""
         return tuple(camera.name for camera in self.cameras)
 
     def __len__(self) -> int:
@@ -109,7 +112,7 @@ def nearest_rotation(matrix: FloatArray) -> FloatArray | None:
 
 
 def camera_parameters(cameras: Sequence[Camera]) -> FloatArray:
-    """Return the kernel parameters of cameras ``(C, 27)``."""
+    """Return each camera's `Camera.kernel_parameters` as a row ``(C, 27)``."""
     return np.array([camera.kernel_parameters for camera in cameras]).reshape(-1, 27)
 
 
@@ -136,9 +139,9 @@ def project(camera: Camera, points: FloatArray) -> FloatArray:
     """
     # Overflows are outside any image.
     with np.errstate(over="ignore", invalid="ignore", divide="ignore"):
-        in_camera = points @ camera.rotation.T + camera.translation
-        depth = np.where(in_camera[..., 2] > 0, in_camera[..., 2], np.nan)
-        distorted_points = distort(camera, in_camera[..., :2] / depth[..., None])
+        camera_points = points @ camera.rotation.T + camera.translation
+        depth = np.where(camera_points[..., 2] > 0, camera_points[..., 2], np.nan)
+        distorted_points = distort(camera, camera_points[..., :2] / depth[..., None])
         x, y = np.moveaxis(distorted_points, -1, 0)
         pixel_x = camera.focal[0] * x + camera.skew * y + camera.centre[0]
         pixel_y = camera.focal[1] * y + camera.centre[1]
@@ -168,12 +171,12 @@ def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
     for _ in range(_NEWTON_STEPS if any(camera.distortion) else 0):
         # Finite differences are exact enough for the slopes of the lens: every step is
         # checked with the lens model itself.
-        step, distorted = 1e-6, distort(camera, points)
+        increment, distorted_points = 1e-6, distort(camera, points)
         derivative_x, derivative_y = (
-            (distort(camera, points + np.array(offset)) - distorted) / step
-            for offset in ([step, 0], [0, step])
+            (distort(camera, points + np.array(offset)) - distorted_points) / increment
+            for offset in ([increment, 0], [0, increment])
         )
-        error = distorted - target
+        residual = distorted_points - target
         determinant = (
             derivative_x[..., 0] * derivative_y[..., 1]
             - derivative_x[..., 1] * derivative_y[..., 0]
@@ -181,10 +184,10 @@ def _undistort(camera: Camera, pixels: FloatArray) -> FloatArray:
         determinant = np.where(determinant > 0, determinant, np.nan)
         newton_step = np.stack(
             [
-                error[..., 0] * derivative_y[..., 1]
-                - error[..., 1] * derivative_y[..., 0],
-                error[..., 1] * derivative_x[..., 0]
-                - error[..., 0] * derivative_x[..., 1],
+                residual[..., 0] * derivative_y[..., 1]
+                - residual[..., 1] * derivative_y[..., 0],
+                residual[..., 1] * derivative_x[..., 0]
+                - residual[..., 0] * derivative_x[..., 1],
             ],
             axis=-1,
         )

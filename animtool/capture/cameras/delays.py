@@ -18,14 +18,14 @@ from animtool.core.errors import Fault, Severity, counted
 
 # A camera is tested if its error is this many times the median of the others, or it is
 # excluded; with the right offset it is below that.
-SUSPECT_ERROR = 2.0
+SUSPECT_ERROR_RATIO = 2.0
 # Largest offset that is tested [frames], and the sample of frames.
 MAX_DELAY, MAX_SAMPLED_FRAMES = 12, 300
 # An offset must divide the error by this much.
-MIN_IMPROVEMENT = 1.5
+MIN_DELAY_IMPROVEMENT = 1.5
 MIN_CAMERAS = 3
 # Smaller errors are rounding [px].
-MIN_ERROR = 1e-6
+MIN_ERROR_PX = 1e-6
 
 
 def delay_warnings(
@@ -34,9 +34,7 @@ def delay_warnings(
     positions: FloatArray,
     errors: Sequence[float],
 ) -> dict[str, Fault]:
-    """Return a warning for each camera that fits better some frames off, by name.
-
-    The code is CAM115.
+    """Return a warning for each camera that is likely late or early, by name (CAM115).
 
     Args:
         observations: The pixels of F frames, C cameras and M points.
@@ -46,14 +44,16 @@ def delay_warnings(
     """
     if len(cameras) < MIN_CAMERAS or len(positions) <= 2 * MAX_DELAY:
         return {}
-    warnings = []
+    warning_by_name: dict[str, Fault] = {}
     for c, (camera, error) in enumerate(zip(cameras, errors, strict=True)):
-        others = [other for k, other in enumerate(errors) if k != c and other > 0]
-        limit = SUSPECT_ERROR * float(np.median(others)) if others else 0.0
-        if error <= limit or not others:
+        other_errors = [e for k, e in enumerate(errors) if k != c and e > 0]
+        if not other_errors:
+            continue
+        max_error = SUSPECT_ERROR_RATIO * float(np.median(other_errors))
+        if error <= max_error:
             continue
         delay, improvement, best_error = _best_delay(observations, camera, c, positions)
-        if improvement < MIN_IMPROVEMENT or best_error > limit:
+        if improvement < MIN_DELAY_IMPROVEMENT or best_error > max_error:
             continue
         offset = f"{counted(abs(delay), 'frame')} {'late' if delay > 0 else 'early'}"
         message = f"camera {camera.name!r} is likely {offset}: there its points are "
@@ -61,8 +61,8 @@ def delay_warnings(
         hint = f"shift its frames by {-delay}, or synchronise the cameras"
         path = observations.path or None
         fault = Fault("CAM115", message, path, (), hint, Severity.WARNING)
-        warnings.append((camera.name, fault))
-    return dict(warnings)
+        warning_by_name[camera.name] = fault
+    return warning_by_name
 
 
 def _best_delay(
@@ -70,22 +70,23 @@ def _best_delay(
 ) -> tuple[int, float, float]:
     """Return the delay of the best fit [frames], its improvement, and its error [px].
 
-    The improvement divides the error; it is 1 if no delay fits better, or too little
-    is seen.
+    The improvement is the error without a delay over that with it; 1 if too few
+    points are visible.
     """
     frames = np.arange(MAX_DELAY, len(positions) - MAX_DELAY)
     frames = frames[:: max(1, len(frames) // MAX_SAMPLED_FRAMES)]
-    projected = project(camera, positions[frames])
-    of_camera = replace(observations, stored=observations.stored[:, [index]])
-    pixels = of_camera.pixels(0, len(positions))[:, 0]
+    projected_points = project(camera, positions[frames])
+    camera_observations = replace(observations, stored=observations.stored[:, [index]])
+    pixels = camera_observations.pixels(0, len(positions))[:, 0]
     delays = range(-MAX_DELAY, MAX_DELAY + 1)
-    errors = []
+    median_errors = []
     for delay in delays:
-        lengths = np.linalg.norm(pixels[frames + delay] - projected, axis=-1)
+        lengths = np.linalg.norm(pixels[frames + delay] - projected_points, axis=-1)
         lengths = lengths[np.isfinite(lengths)]
         if not len(lengths):
             return 0, 1.0, np.inf
-        errors.append(float(np.median(lengths)))
-    best = int(np.argmin(errors))
-    improvement = errors[MAX_DELAY] / max(errors[best], MIN_ERROR)
-    return delays[best], improvement, errors[best]
+        median_errors.append(float(np.median(lengths)))
+    best_index = int(np.argmin(median_errors))
+    best_error = median_errors[best_index]
+    improvement = median_errors[MAX_DELAY] / max(best_error, MIN_ERROR_PX)
+    return delays[best_index], improvement, best_error

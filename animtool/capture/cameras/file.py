@@ -13,11 +13,13 @@ from pydantic import Field
 
 from animtool.capture.cameras.camera import (
     DEFAULT_CAMERA_NAME,
+    MAX_CAMERAS,
+    MAX_IMAGE_SIDE,
     Camera,
     Cameras,
     nearest_rotation,
 )
-from animtool.capture.cameras.plausible import warn_of_focals, warn_of_spread
+from animtool.capture.cameras.plausible import warn_of_focal_lengths, warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
@@ -27,16 +29,12 @@ from animtool.documents.document import Document
 from animtool.documents.fields import IgnoreModel, Name, Quaternion, Real, Vector
 from animtool.maths.so3 import to_matrix
 
-# Largest side of an image [px].
-MAX_IMAGE_SIDE = 100_000
-MAX_CAMERAS = 256
-
-Focal = Annotated[Real, Field(gt=0)]
+FocalLength = Annotated[Real, Field(gt=0)]
 ImageSide = Annotated[int, Field(ge=1, le=MAX_IMAGE_SIDE)]
 
 
 class CameraUnitsModel(FileModel):
-    """Units of the numbers in a camera file."""
+    """Key ``units`` of a camera file: the unit of its translations."""
 
     length: Literal["m", "cm", "mm", "in"] = key(
         "Unit of translations. Focal lengths and centres are in pixels.",
@@ -46,7 +44,7 @@ class CameraUnitsModel(FileModel):
 
 
 class CameraModel(FileModel):
-    """A calibrated camera: `x_camera = rotation * x_world + translation`."""
+    """An entry of ``views``: `x_camera = rotation * x_world + translation`."""
 
     name: Name = key("Unique name of the camera.", "cam01")
     size: Annotated[list[ImageSide], Len(2, 2)] | None = key(
@@ -54,7 +52,7 @@ class CameraModel(FileModel):
         [1920, 1080],
         default=None,
     )
-    focal: Annotated[list[Focal], Len(2, 2)] = key(
+    focal: Annotated[list[FocalLength], Len(2, 2)] = key(
         "Focal lengths along x and y in pixels.", [1334.4, 1333.1]
     )
     centre: Annotated[list[Real], Len(2, 2)] = key(
@@ -78,7 +76,7 @@ class CameraModel(FileModel):
 
 
 class CamerasModel(FileModel):
-    """A camera file."""
+    """Schema of a camera file, ``*.cameras.yaml``."""
 
     cameras: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     units: CameraUnitsModel = key(
@@ -107,11 +105,14 @@ class CamerasModel(FileModel):
 def parse_cameras(
     document: Document, unit: LengthUnit | None = None, up: UpAxis | None = None
 ) -> Cameras:
-    """Convert a camera document to cameras; see `load_cameras`."""
+    """Convert the document of a ``*.cameras.yaml`` file to cameras, and check them.
+
+    ``unit`` and ``up`` hold where the file states none.
+    """
     check_version(document, "cameras")
     model = validate_document(document, CamerasModel)
-    states_unit = "length" in model.units.model_fields_set
-    if unit is None or states_unit:
+    is_unit_stated = "length" in model.units.model_fields_set
+    if unit is None or is_unit_stated:
         unit = LengthUnit(model.units.length)
     if up is None or "up" in model.model_fields_set:
         up = UpAxis(model.up)
@@ -124,7 +125,7 @@ def parse_cameras(
             hint = f"the first is views[{names[view.name]}]"
             document.add("CAM002", ("views", i, "name"), message, hint)
         names.setdefault(view.name, i)
-        rotation = _rotation_of(view.rotation)
+        rotation = _rotation_matrix(view.rotation)
         if rotation is None:
             message = "is not a rotation"
             hint = "write orthogonal, right-handed rows of length 1, or [w, x, y, z]"
@@ -143,23 +144,23 @@ def parse_cameras(
             )
         )
     document.check()
-    location = ("units", "length") if states_unit else ("views", 0, "translation")
-    warn_of_spread(document, location, cameras, unit, is_stated=states_unit)
-    focals = [("views", i, "focal") for i in range(len(cameras))]
-    warn_of_focals(document, focals, cameras)
+    location = ("units", "length") if is_unit_stated else ("views", 0, "translation")
+    warn_of_spread(document, location, cameras, unit, is_unit_stated=is_unit_stated)
+    focal_locations = [("views", i, "focal") for i in range(len(cameras))]
+    warn_of_focal_lengths(document, focal_locations, cameras)
     notices = tuple(document.notices)
     return Cameras(tuple(cameras), up, str(document.path), notices)
 
 
-def _rotation_of(value: list[list[float]] | list[float]) -> FloatArray | None:
-    """Return a rotation matrix from a matrix or (w, x, y, z); None if invalid."""
+def _rotation_matrix(value: list[list[float]] | list[float]) -> FloatArray | None:
+    """Return ``(3, 3)`` from a matrix or quaternion (w, x, y, z); None if invalid."""
     numbers = np.array(value, np.float64)
     if numbers.ndim == 2:
         return nearest_rotation(numbers)
-    length = float(np.linalg.norm(numbers))
-    if not 0.99 < length < 1.01:
+    norm = float(np.linalg.norm(numbers))
+    if not 0.99 < norm < 1.01:
         return None
-    return to_matrix(np.roll(numbers / length, -1))
+    return to_matrix(np.roll(numbers / norm, -1))
 
 
 def load_cameras(

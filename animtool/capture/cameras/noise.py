@@ -22,7 +22,7 @@ from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.core.record import dataclass
 
 # Points for the noise estimate: enough for a few percent.
-SAMPLE_POINTS = 1500
+NOISE_SAMPLE_POINTS = 1500
 # Points at which all pairs of cameras are compared.
 PAIRWISE_POINTS = 400
 # Median length of a vector of two normal numbers of deviation 1: sqrt(2 ln 2).
@@ -44,85 +44,92 @@ MIN_TRIANGULATED = 0.5
 _NOISE_ROUNDS = 2
 _UNLIMITED_GATE = 1e6  # a gate that accepts everything
 # The kernel's state of an observation.
-USED, _REJECTED, _INACTIVE = 1, 2, 3
+USED_STATE, _REJECTED_STATE, _INACTIVE_STATE = 1, 2, 3
 
 
 @dataclass(frozen=True, slots=True)
 class ObservationNoise:
     """Noise of each camera's observations."""
 
-    pixels: FloatArray  # standard deviation of an axis [px] ``(C,)``
+    deviations_px: FloatArray  # standard deviation of an axis [px] ``(C,)``
     # Cameras that another pose fits much better in all frames, by index.
     pose_changes: dict[int, PoseChange]
-    cameras_agree: bool = True  # whether cameras agree on most of the points
+    do_cameras_agree: bool = True  # whether cameras agree on most of the points
 
 
 def measure_noise(
-    observations: Observations, cameras: Sequence[Camera], gate: float, condition: float
+    observations: Observations,
+    cameras: Sequence[Camera],
+    gate: float,
+    max_condition: float,
 ) -> ObservationNoise:
-    """Measure the noise of each camera's observations on a sample of frames."""
+    """Estimate each camera's pixel noise on a sample of frames, and find stale cameras.
+
+    Observations beyond ``gate`` standard deviations are outliers; ``max_condition``
+    limits the condition of a point, as in the kernel `triangulate_points`.
+    """
     frame_count, view_count, marker_count = observations.stored.shape[:3]
-    frame_step = max(1, frame_count * marker_count // SAMPLE_POINTS)
+    frame_step = max(1, frame_count * marker_count // NOISE_SAMPLE_POINTS)
     pixels = observations.pixels(0, frame_count, frame_step)
     confidences = observations.confidences_of(0, frame_count, frame_step)
     kernel_cameras = camera_parameters(cameras)
     noise = np.full(view_count, initial_noise(pixels, kernel_cameras))
-    active = np.ones(pixels.shape[:2], bool)
+    is_active = np.ones(pixels.shape[:2], bool)
     pose_changes: dict[int, PoseChange] = {}
-    settings = (gate, condition)
+    limits = (gate, max_condition)
     triangulate = partial(
         _kernels.triangulate_points, pixels, confidences, kernel_cameras
     )
     for round_ in range(_NOISE_ROUNDS + view_count):
-        *_, residuals, states = triangulate(active, noise, *settings, detailed=True)
-        lengths = _residual_lengths(residuals)
+        *_, residuals, states = triangulate(is_active, noise, *limits, detailed=True)
+        residual_lengths = _residual_lengths(residuals)
         if confidences is not None:
-            lengths = lengths * np.sqrt(np.maximum(confidences, 0))
-        pooled_noise = _pooled_noise(lengths, states == USED)
+            residual_lengths = residual_lengths * np.sqrt(np.maximum(confidences, 0))
+        pooled_noise = _pooled_noise(residual_lengths, states == USED_STATE)
         if pooled_noise is None:
             break
-        noises = _camera_noise(lengths, states)
-        median_noise = np.nanmedian(noises) if np.isfinite(noises).any() else 1.0
-        ratios = np.nan_to_num(noises / median_noise, nan=1.0)
-        noise = np.maximum(pooled_noise * _noise_factors(ratios), MIN_NOISE)
-        stale_camera = _stale_camera(
-            cameras, pixels, confidences, noise, active, ratios, settings
+        camera_noises = _camera_noise(residual_lengths, states)
+        median_noise = (
+            np.nanmedian(camera_noises) if np.isfinite(camera_noises).any() else 1.0
         )
-        if stale_camera is not None:
-            worst_camera, pose_changes[worst_camera] = stale_camera
-            active[:, worst_camera] = False
-            is_active = active[0]
-            noise[:] = initial_noise(pixels[:, is_active], kernel_cameras[is_active])
+        ratios = np.nan_to_num(camera_noises / median_noise, nan=1.0)
+        noise = np.maximum(pooled_noise * _noise_factors(ratios), MIN_NOISE)
+        stale_fit = _find_stale_camera(
+            cameras, pixels, confidences, noise, is_active, ratios, limits
+        )
+        if stale_fit is not None:
+            stale_camera, pose_changes[stale_camera] = stale_fit
+            is_active[:, stale_camera] = False
+            is_kept = is_active[0]
+            noise[:] = initial_noise(pixels[:, is_kept], kernel_cameras[is_kept])
         elif round_ >= _NOISE_ROUNDS - 1:
             break
-    points, *_ = triangulate(active, noise, *settings, detailed=False)
-    views_of_point = (np.isfinite(pixels).all(axis=-1) & active[..., None]).sum(axis=1)
+    points, *_ = triangulate(is_active, noise, *limits, detailed=False)
+    view_counts = (np.isfinite(pixels).all(axis=-1) & is_active[..., None]).sum(axis=1)
     triangulated_count = int(np.isfinite(points[..., 0]).sum())
-    if triangulated_count < MIN_TRIANGULATED * (views_of_point > 1).sum():
+    if triangulated_count < MIN_TRIANGULATED * (view_counts > 1).sum():
         # If no two cameras agree, or any two do, all are pooled.
-        pose_changes, active = {}, np.ones_like(active)
+        pose_changes, is_active = {}, np.ones_like(is_active)
         *_, residuals, states = triangulate(
-            active, noise, _UNLIMITED_GATE, condition, detailed=True
+            is_active, noise, _UNLIMITED_GATE, max_condition, detailed=True
         )
-        overall_noise = _pooled_noise(_residual_lengths(residuals), states == USED)
-        noise[:] = noise if overall_noise is None else max(overall_noise, MIN_NOISE)
-        return ObservationNoise(noise, pose_changes, cameras_agree=False)
-    noise[list(pose_changes)] = np.median(noise[active[0]])
+        total_noise = _pooled_noise(_residual_lengths(residuals), states == USED_STATE)
+        noise[:] = noise if total_noise is None else max(total_noise, MIN_NOISE)
+        return ObservationNoise(noise, pose_changes, do_cameras_agree=False)
+    noise[list(pose_changes)] = np.median(noise[is_active[0]])
     return ObservationNoise(noise, pose_changes)
 
 
-def sampled_initial_noise(
-    observations: Observations, cameras: Sequence[Camera]
-) -> float:
-    """Return the `initial_noise` of a sample of frames [px]."""
+def sampled_noise(observations: Observations, cameras: Sequence[Camera]) -> float:
+    """Return the `initial_noise` of a sample of the frames, for all cameras [px]."""
     frame_count, _, marker_count = observations.stored.shape[:3]
-    step = max(1, frame_count * marker_count // SAMPLE_POINTS)
-    pixels = observations.pixels(0, frame_count, step)
+    frame_step = max(1, frame_count * marker_count // NOISE_SAMPLE_POINTS)
+    pixels = observations.pixels(0, frame_count, frame_step)
     return initial_noise(pixels, camera_parameters(cameras))
 
 
 def _residual_lengths(residuals: Float32Array) -> Any:
-    """Return the Euclidean norms of residuals ``(F, C, M)`` [px]."""
+    """Return the lengths ``(F, C, M)`` of residual vectors ``(F, C, M, 2)`` [px]."""
     return np.sqrt(np.einsum("fcmi,fcmi->fcm", residuals, residuals))
 
 
@@ -133,53 +140,54 @@ def _noise_factors(ratios: FloatArray) -> FloatArray:
     return np.asarray(np.where(is_similar, 1.0, bounded_ratios))
 
 
-def _stale_camera(
+def _find_stale_camera(
     cameras: Sequence[Camera],
     pixels: FloatArray,
     confidences: FloatArray | None,
     noise: FloatArray,
-    active_cameras: BoolArray,
-    noise_ratios: FloatArray,
-    gate_and_condition: tuple[float, float],
+    is_active: BoolArray,
+    ratios: FloatArray,
+    limits: tuple[float, float],
 ) -> tuple[int, PoseChange] | None:
-    """Return the stale camera, with the pose change that fits the others' points best.
+    """Return the index of the likeliest stale camera and its pose change, or None.
 
-    Only one camera is returned, since a stale camera makes others look worse.
+    It is the one without which the others agree best. Only one is returned, since a
+    stale camera makes others look worse.
     """
-    if active_cameras[0].sum() < 3:
+    if is_active[0].sum() < 3:
         return None
-    suspects = np.argsort(-noise_ratios, kind="stable")
-    candidates: list[tuple[float, int, PoseChange]] = []
-    for camera in suspects[:_MAX_SUSPECTS].tolist():
-        if not active_cameras[0, camera] or noise_ratios[camera] < _SUSPECT_NOISE_RATIO:
+    suspect_cameras = np.argsort(-ratios, kind="stable")
+    stale_fits: list[tuple[float, int, PoseChange]] = []
+    for camera in suspect_cameras[:_MAX_SUSPECTS].tolist():
+        if not is_active[0, camera] or ratios[camera] < _SUSPECT_NOISE_RATIO:
             continue
-        without_camera = active_cameras.copy()
-        without_camera[:, camera] = False
-        points, sizes, *_ = _kernels.triangulate_points(
-            pixels, confidences, camera_parameters(cameras), without_camera, noise,
-            *gate_and_condition, detailed=False,
+        is_active_other = is_active.copy()
+        is_active_other[:, camera] = False
+        points, errors, *_ = _kernels.triangulate_points(
+            pixels, confidences, camera_parameters(cameras), is_active_other, noise,
+            *limits, detailed=False,
         )  # fmt: skip
         others = [*cameras[:camera], *cameras[camera + 1 :]]
         change = fit_pose_change(cameras[camera], points, pixels[:, camera], others)
         if change is not None:
-            candidates.append((float(np.nanmedian(sizes[..., 0])), camera, change))
-    if not candidates:
+            stale_fits.append((float(np.nanmedian(errors[..., 0])), camera, change))
+    if not stale_fits:
         return None
-    _, camera, change = min(candidates, key=lambda camera_change: camera_change[:2])
+    _, camera, change = min(stale_fits, key=lambda camera_change: camera_change[:2])
     return camera, change
 
 
 def initial_noise(pixels: FloatArray, kernel_cameras: FloatArray) -> float:
     """Estimate the noise by least median of squares over camera pairs [px]."""
     pixels = pixels[:: max(1, pixels.shape[0] * pixels.shape[2] // PAIRWISE_POINTS)]
-    counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
+    view_counts = np.isfinite(pixels).all(axis=-1).sum(axis=1)
     pixels = np.ascontiguousarray(pixels)
     least_medians = _kernels.least_median_residuals(pixels, kernel_cameras)
-    has_estimate = np.isfinite(least_medians) & (counts > 1)
+    has_estimate = np.isfinite(least_medians) & (view_counts > 1)
     if not has_estimate.any():
         return 1.0
-    indices = np.clip(counts - 2, 0, len(_LEAST_MEDIAN_FACTORS))
-    factors = np.array([*_LEAST_MEDIAN_FACTORS, 1.0])[indices]
+    factor_indices = np.clip(view_counts - 2, 0, len(_LEAST_MEDIAN_FACTORS))
+    factors = np.array([*_LEAST_MEDIAN_FACTORS, 1.0])[factor_indices]
     return max(
         float(np.median(least_medians[has_estimate] / factors[has_estimate])), MIN_NOISE
     )
@@ -187,10 +195,10 @@ def initial_noise(pixels: FloatArray, kernel_cameras: FloatArray) -> float:
 
 def _pooled_noise(lengths: FloatArray, is_used: BoolArray) -> float | None:
     """Estimate the common noise from the chi-square median of the points [px]."""
-    counts = is_used.sum(axis=1)
+    camera_counts = is_used.sum(axis=1)
     square_sums = np.where(is_used, lengths, 0.0)
-    square_sums = (square_sums * square_sums).sum(axis=1)[counts > 1]
-    degrees_of_freedom = 2.0 * counts[counts > 1] - 3
+    square_sums = (square_sums * square_sums).sum(axis=1)[camera_counts > 1]
+    degrees_of_freedom = 2.0 * camera_counts[camera_counts > 1] - 3
     if not len(square_sums):
         return None
     expected_median = degrees_of_freedom * (1 - 2 / (9 * degrees_of_freedom)) ** 3
@@ -199,9 +207,9 @@ def _pooled_noise(lengths: FloatArray, is_used: BoolArray) -> float | None:
 
 def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatArray:
     """Estimate each camera's noise from its median residual [px] ``(C,)``."""
-    is_used = states == USED
+    is_used = states == USED_STATE
     other_counts = is_used.sum(axis=1)[:, None] - is_used
-    is_compared = is_used | (states == _REJECTED) | (states == _INACTIVE)
+    is_compared = is_used | (states == _REJECTED_STATE) | (states == _INACTIVE_STATE)
     is_compared &= other_counts > 1
     # A point seen by n cameras takes 3 of their 2n residuals.
     residual_fraction = np.where(
@@ -210,9 +218,9 @@ def _camera_noise(lengths: FloatArray, states: npt.NDArray[np.uint8]) -> FloatAr
     scaled_lengths = np.where(
         is_compared & np.isfinite(lengths), lengths / np.sqrt(residual_fraction), np.nan
     )
-    medians = np.full(lengths.shape[1], np.nan)
-    for camera in range(len(medians)):
-        values = scaled_lengths[:, camera]
-        if np.isfinite(values).sum() >= 20:
-            medians[camera] = np.nanmedian(values) / MEDIAN_LENGTH_2D
-    return medians
+    camera_noises = np.full(lengths.shape[1], np.nan)
+    for camera in range(len(camera_noises)):
+        camera_lengths = scaled_lengths[:, camera]
+        if np.isfinite(camera_lengths).sum() >= 20:
+            camera_noises[camera] = np.nanmedian(camera_lengths) / MEDIAN_LENGTH_2D
+    return camera_noises

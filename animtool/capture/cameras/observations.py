@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from animtool.capture.cameras.camera import Camera, Cameras
+from animtool.capture.cameras.camera import MAX_CAMERAS, Camera, Cameras
 from animtool.core.arguments import argument, flag
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
@@ -27,16 +27,15 @@ from animtool.documents.arrays import Archives
 # Pixel arrays by key: unit of a stored number [px], and the number that marks invisible
 # points.
 _PIXEL_ARRAYS = {"uv8": (0.125, 65535), "uv": (1.0, None)}
-MAX_CAMERAS = 256
 # Hint for a file that has no observations.
 LAYOUT_HINT = (
     "write uv (frames, cameras, markers, 2) in pixels, fs and marker_names with "
     f"numpy.savez, then: animtool mocap triangulate take.npz {flag('cameras')} "
     "stage.cameras.yaml -o markers.npz"
 )
-_POSITIONS = "holds positions of markers"
+_POSITIONS_TEXT = "holds positions of markers"
 # Bytes read to identify another file type.
-HEAD_BYTES = 4096
+SIGNATURE_BYTES = 4096
 # Valid rates of a capture [Hz].
 _RATE_RANGE = (0.1, 100_000.0)
 
@@ -70,7 +69,7 @@ class Observations:
     notices: tuple[Fault, ...] = ()
 
     def pixels(self, first: int, end: int, step: int = 1) -> FloatArray:
-        """Return the pixels of frames ``(F, C, M, 2)``, NaN where not visible."""
+        """Return every ``step``-th frame's pixels ``(F, C, M, 2)``, NaN if hidden."""
         stored = self.stored[first:end:step]
         pixels: FloatArray = np.multiply(stored, self.unit, dtype=np.float64)
         if self.missing is not None:
@@ -78,16 +77,19 @@ class Observations:
         return pixels
 
     def confidences_of(self, first: int, end: int, step: int = 1) -> FloatArray | None:
-        """Return the confidences of frames ``(F, C, M)``; None if all are 1."""
+        """Return every ``step``-th frame's confidences ``(F, C, M)``, or None."""
         if self.confidences is None:
             return None
         return np.ascontiguousarray(self.confidences[first:end:step], np.float64)
 
 
-def other_pixels(
+def pixels_in_other_conventions(
     observations: Observations, cameras: Sequence[Camera]
 ) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
-    """Yield the stored pixels in another convention, with its name and remedy."""
+    """Yield name, remedy and stored pixels of each convention that a file may have.
+
+    They are exchanged coordinates and, if image sizes are known, v from the bottom.
+    """
     stored = observations.stored
     yield "[v, u]", "exchange them", np.ascontiguousarray(stored[..., ::-1])
     if observations.missing is None and all(camera.size for camera in cameras):
@@ -100,7 +102,7 @@ def other_pixels(
 def read_observations(
     path: Path | str, *, fps: FractionLike | None = None
 ) -> Observations:
-    """Return the observations of an npz file.
+    """Read the observations in an npz file.
 
     It has ``uv`` ``(F, C, M, 2)`` in pixels, NaN where not visible, or ``uv8``, eighths
     of a pixel as uint16, 65535 where not visible; the number ``fs`` (frames a second)
@@ -127,19 +129,19 @@ def read_observations(
 
 
 def _solve_hint(path: Path) -> str:
-    """Return a hint to solve a file that contains positions, not pixels."""
+    """Return the hint for a file of 3D positions: to solve it, not triangulate it."""
     return f"they are triangulated already: animtool mocap solve {path}"
 
 
 def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
     """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
-        first_bytes = file.read(HEAD_BYTES)
+        first_bytes = file.read(SIGNATURE_BYTES)
     if not first_bytes:
         return "the file is empty", "export or copy it again"
     if first_bytes[:2] == b"PK":
         is_damaged = message.startswith("is incomplete")
-        hint = _solve_hint(path) if message.startswith(_POSITIONS) else LAYOUT_HINT
+        hint = _solve_hint(path) if message.startswith(_POSITIONS_TEXT) else LAYOUT_HINT
         return message, None if is_damaged else hint
     signature = signature_of(first_bytes)
     if signature is not None and signature.suffixes[:1] in {(".c3d",), (".trc",)}:
@@ -147,31 +149,31 @@ def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
     text = first_bytes.lstrip(b"\xef\xbb\xbf \r\n\t")
     if path.suffix.lower() != ".json" and text[:1] not in {b"{", b"["}:
         return "is not an npz file of pixels", LAYOUT_HINT
-    kind = "is a JSON file; observations are an npz file of pixels, or a folder of "
-    kind += "OpenPose keypoints"
+    problem = "is a JSON file; observations are an npz file of pixels, or a folder of "
+    problem += "OpenPose keypoints"
     if b'"people"' in text:
         hint = "pass the folder that contains one folder of such files per camera: "
         hint += (
             f"animtool mocap triangulate pose/ {flag('cameras', 'calib.toml')} "
             f"{flag('fps', '60')} "
         )
-        return kind, hint + "-o people.npz"
+        return problem, hint + "-o people.npz"
     if any(key in text for key in (b'"cameras"', b'"camera_matrix"', b'"K"')):
-        kind = "holds cameras, not observations; pass it as "
-        kind += f"{argument('cameras', path.name)}"
-    return kind, LAYOUT_HINT
+        problem = "holds cameras, not observations; pass it as "
+        problem += f"{argument('cameras', path.name)}"
+    return problem, LAYOUT_HINT
 
 
 def _read_arrays(
     archives: Archives, path: Path, fps: FractionLike | None
 ) -> Observations:
-    """Return the observations of an npz; see `read_observations`."""
+    """Read and check the arrays of an npz that `read_observations` lists."""
     array_names = archives.names(path)
     key = next((name for name in _PIXEL_ARRAYS if name in array_names), None)
     if key is None:
         arrays = listed(array_names) or "nothing"
         if any(re.match(r"markers(_|$)", name) for name in array_names):
-            raise ValueError(f"{_POSITIONS}, not pixels; its arrays are {arrays}")
+            raise ValueError(f"{_POSITIONS_TEXT}, not pixels; its arrays are {arrays}")
         message = "has no array 'uv' or 'uv8' of pixels; its arrays are "
         raise ValueError(f"{message}{arrays}")
     unit, missing = _PIXEL_ARRAYS[key]
@@ -179,11 +181,13 @@ def _read_arrays(
     if len(header.shape) != 4 or header.shape[3] != 2:
         message = f"{key!r} has shape {header.shape}, not (frames, cameras, markers, 2)"
         raise ValueError(message)
-    frame_count, views, marker_count, _ = header.shape
-    if not (frame_count and views and marker_count):
+    frame_count, view_count, marker_count, _ = header.shape
+    if not (frame_count and view_count and marker_count):
         raise ValueError(f"{key!r} has shape {header.shape}: it is empty")
-    if views > MAX_CAMERAS:
-        raise ValueError(f"{key!r} has {views} cameras; the limit is {MAX_CAMERAS}")
+    if view_count > MAX_CAMERAS:
+        raise ValueError(
+            f"{key!r} has {view_count} cameras; the limit is {MAX_CAMERAS}"
+        )
     if (header.kind == "f") != (key == "uv"):
         dtype_text = "floats" if key == "uv" else "whole numbers"
         raise ValueError(f"{key!r} does not hold {dtype_text}")
@@ -196,21 +200,21 @@ def _read_arrays(
     }
     names = texts["marker_names"] or tuple(f"*{i}" for i in range(marker_count))
     cameras = texts["camera_names"]
-    lengths = (
+    name_counts = (
         ("marker_names", len(names), marker_count),
-        ("camera_names", len(cameras), views),
+        ("camera_names", len(cameras), view_count),
     )
-    for label, length, expected_length in lengths:
-        if length not in {expected_length, 0}:
-            message = f"{label!r} has {length}, but {key!r} has "
-            raise ValueError(f"{message}{expected_length}")
+    for label, name_count, expected_count in name_counts:
+        if name_count not in {expected_count, 0}:
+            message = f"{label!r} has {name_count}, but {key!r} has "
+            raise ValueError(f"{message}{expected_count}")
     rate = _observation_rate(archives, path, array_names, fps)
     confidences = None
     if "confidence" in array_names:
         confidences = archives.load(path, "confidence")
-        if confidences.shape != (frame_count, views, marker_count):
+        if confidences.shape != header.shape[:3]:
             message = f"'confidence' has shape {confidences.shape}"
-            raise ValueError(f"{message}, not {(frame_count, views, marker_count)}")
+            raise ValueError(f"{message}, not {header.shape[:3]}")
     clock = Clock(rate, Fraction(1), Fraction(1), frame_count)
     return Observations(
         names, clock, stored, cameras, unit, missing, confidences, str(path)
@@ -220,15 +224,15 @@ def _read_arrays(
 def _observation_rate(
     archives: Archives, path: Path, array_names: list[str], fps: FractionLike | None
 ) -> Fraction:
-    """Return the frame rate, as requested or from the file."""
+    """Return ``fps``, or else the number ``fs`` of the file [Hz]."""
     if fps is not None:
         return rate_option(fps)
     if "fs" not in array_names:
         message = "has no number 'fs', the frame rate; set it with "
         raise ValueError(f"{message}{argument('fps')}")
     stored_rates = archives.load_stored(path, "fs").ravel()
-    low, high = _RATE_RANGE
-    if stored_rates.size != 1 or not low <= float(stored_rates[0]) <= high:
+    min_rate, max_rate = _RATE_RANGE
+    if stored_rates.size != 1 or not min_rate <= float(stored_rates[0]) <= max_rate:
         rates = listed(stored_rates.tolist())
         message = f"'fs' is {rates}, which is not a frame rate; set it with "
         raise ValueError(f"{message}{argument('fps')}")
@@ -236,7 +240,7 @@ def _observation_rate(
 
 
 def uncalibrated_error(name: str, cameras: Cameras, advice: str) -> OptionError:
-    """Return the error of a camera that has no calibration (CAM011).
+    """Return an error for a camera without calibration, with similar names (CAM011).
 
     advice: Text after the calibrated names, which are listed if none is similar.
     """
@@ -249,7 +253,12 @@ def uncalibrated_error(name: str, cameras: Cameras, advice: str) -> OptionError:
 
 
 def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
-    """Return the cameras in the order of the observations."""
+    """Return the calibrations in the order in which the observations list cameras.
+
+    Raises:
+        OptionError: A camera is not calibrated or their numbers differ (CAM011), or
+            there is only one (CAM012).
+    """
     path = cameras.path or None
     camera_count = observations.stored.shape[1]
     if observations.cameras:

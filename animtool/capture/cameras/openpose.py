@@ -55,12 +55,12 @@ MIN_TRACK_SECONDS = 0.25
 MIN_SHARED_KEYPOINTS = 3
 # Noise of detectors relative to the diagonal of a person [1], its outlier gate and
 # largest condition number.
-_NOISE, _GATE, _CONDITION = 0.015, 5.0, 6600.0
+_DETECTOR_NOISE, _OUTLIER_GATE, _MAX_CONDITION = 0.015, 5.0, 6600.0
 
 
 @dataclass(slots=True)
 class _PersonTrack:
-    """A tracked person: the last positions, and the detections in all cameras."""
+    """A person followed over frames: last known keypoints, and detections by camera."""
 
     points: FloatArray  # last positions [m] (M, 3)
     last_frame: int  # their frame
@@ -72,10 +72,10 @@ def track_people(
     detections: Sequence[Sequence[Sequence[FloatArray]]],
     cameras: Sequence[Camera],
     rate: float,
-    keypoints: int,
+    keypoint_count: int,
     max_people: int | None,
 ) -> FloatArray:
-    """Track people; return x, y and confidence of keypoints ``(F, C, P * M, 3)``.
+    """Track P people; return x, y and confidence of keypoints ``(F, C, P * M, 3)``.
 
     ``detections`` are people by frame and camera ``(M, 3)``, NaN for invisible
     keypoints. The ``max_people`` that are most visible are kept; None keeps all.
@@ -84,15 +84,15 @@ def track_people(
     max_lost_frames = max(1, round(MAX_LOST_SECONDS * rate))
     for frame, people in enumerate(detections):
         live_tracks = [t for t in tracks if frame - t.last_frame <= max_lost_frames]
-        unassigned_detections = {
+        free_detections = {
             (camera, i)
-            for camera, detected in enumerate(people)
-            for i in range(len(detected))
+            for camera, camera_people in enumerate(people)
+            for i in range(len(camera_people))
         }
-        groups = _continue_tracks(live_tracks, people, cameras, unassigned_detections)
-        new_groups = _group_detections(people, cameras, sorted(unassigned_detections))
+        groups = _continue_tracks(live_tracks, people, cameras, free_detections)
+        new_groups = _group_detections(people, cameras, sorted(free_detections))
         for known_track, group in [*groups, *((None, group) for group in new_groups)]:
-            points = _solve_person(group, people, cameras, keypoints)
+            points = _solve_person(group, people, cameras, keypoint_count)
             if points is None:
                 continue
             track = known_track or _PersonTrack(points, frame)
@@ -106,14 +106,14 @@ def track_people(
     long_tracks = [
         t for t in tracks if len({f for f, _ in t.detections}) >= min_frames
     ] or tracks
-    order = sorted(
+    track_order = sorted(
         range(len(long_tracks)), key=lambda k: (-len(long_tracks[k].detections), k)
     )
-    kept_indices = sorted(order[: max_people or len(order)])
-    shape = (len(detections), len(cameras), max(1, len(kept_indices)), keypoints, 3)
+    kept_tracks = sorted(track_order[: max_people or len(track_order)])
+    shape = (len(detections), len(cameras), max(1, len(kept_tracks)), keypoint_count, 3)
     tracked_keypoints = np.full(shape, np.nan)
     tracked_keypoints[..., 2] = 0
-    for p, k in enumerate(kept_indices):
+    for p, k in enumerate(kept_tracks):
         for (frame, c), i in long_tracks[k].detections.items():
             tracked_keypoints[frame, c, p] = detections[frame][c][i]
     return tracked_keypoints.reshape(len(detections), len(cameras), -1, 3)
@@ -129,9 +129,12 @@ def _continue_tracks(
     live_tracks: list[_PersonTrack],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
-    unassigned: set[tuple[int, int]],
+    free_detections: set[tuple[int, int]],
 ) -> list[tuple[_PersonTrack | None, dict[int, int]]]:
-    """Assign detections to tracked people, and remove these from ``unassigned``."""
+    """Match tracks to detections by reprojection; return each with camera → detection.
+
+    Matched detections are removed from ``free_detections``.
+    """
     from scipy.optimize import linear_sum_assignment
 
     groups: list[dict[int, int]] = [{} for _ in live_tracks]
@@ -140,9 +143,9 @@ def _continue_tracks(
             continue
         costs = np.full((len(live_tracks), len(people[c])), _MAX_SHIFT)
         for t, track in enumerate(live_tracks):
-            projected = project(camera, track.points)
+            projected_points = project(camera, track.points)
             for i, keypoints in enumerate(people[c]):
-                distances = np.linalg.norm(projected - keypoints[:, :2], axis=-1)
+                distances = np.linalg.norm(projected_points - keypoints[:, :2], axis=-1)
                 is_visible = np.isfinite(distances)
                 if is_visible.sum() >= MIN_SHARED_KEYPOINTS:
                     distance = float(np.median(distances[is_visible]))
@@ -150,27 +153,32 @@ def _continue_tracks(
         for t, i in zip(*linear_sum_assignment(costs), strict=True):
             if costs[t, i] < _MAX_SHIFT:
                 groups[t][c] = int(i)
-                unassigned.discard((c, int(i)))
+                free_detections.discard((c, int(i)))
     return list(zip(live_tracks, groups, strict=True))
 
 
 def _group_detections(
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
-    unassigned: Sequence[tuple[int, int]],
+    free_detections: Sequence[tuple[int, int]],
 ) -> list[dict[int, int]]:
-    """Group unassigned detections whose rays intersect into new people."""
-    rays = {(c, i): _keypoint_rays(cameras[c], people[c][i]) for c, i in unassigned}
-    sizes = {(c, i): _person_size(people[c][i]) for c, i in unassigned}
+    """Group detections of different cameras whose rays meet; return camera → detection.
+
+    Groups of one camera are omitted.
+    """
+    rays = {
+        (c, i): _keypoint_rays(cameras[c], people[c][i]) for c, i in free_detections
+    }
+    sizes = {(c, i): _person_size(people[c][i]) for c, i in free_detections}
     pair_costs = {}
-    for a, b in itertools.combinations(unassigned, 2):
+    for a, b in itertools.combinations(free_detections, 2):
         if a[0] != b[0]:
             cost = _ray_distance(
                 cameras[a[0]], rays[a], cameras[b[0]], rays[b], sizes[a], sizes[b]
             )
             if cost < _MAX_RAY_GAP:
                 pair_costs[a, b] = cost
-    group_of = {(c, i): {c: i} for c, i in unassigned}
+    group_of = {(c, i): {c: i} for c, i in free_detections}
     for _, a, b in sorted((cost, *pair) for pair, cost in pair_costs.items()):
         first, second = group_of[a], group_of[b]
         if first is second or set(first) & set(second):
@@ -186,7 +194,7 @@ def _group_detections(
 
 
 def _keypoint_rays(camera: Camera, keypoints: FloatArray) -> FloatArray:
-    """Return directions of keypoints in the world ``(M, 3)``."""
+    """Return ray directions of keypoints in the world, at depth 1 ``(M, 3)``."""
     image_points = pixel_rays(camera, keypoints[:, :2])
     directions = np.concatenate([image_points, np.ones((len(image_points), 1))], axis=1)
     return np.asarray(directions @ camera.rotation)
@@ -228,23 +236,27 @@ def _solve_person(
     group: dict[int, int],
     people: Sequence[Sequence[FloatArray]],
     cameras: Sequence[Camera],
-    keypoints: int,
+    keypoint_count: int,
 ) -> FloatArray | None:
     """Triangulate a person's points [m] ``(M, 3)``; None if no two cameras agree."""
     if len(group) < 2:
         return None
     cameras_of_person = sorted(group)
-    keypoints_by_camera = np.stack([people[c][group[c]] for c in cameras_of_person])
-    noise = np.array([_NOISE * _person_size(view) for view in keypoints_by_camera])
+    camera_keypoints = np.stack([people[c][group[c]] for c in cameras_of_person])
+    noise = np.array(
+        [_DETECTOR_NOISE * _person_size(view) for view in camera_keypoints]
+    )
     points: FloatArray = _kernels.triangulate_points(
-        np.ascontiguousarray(keypoints_by_camera[None, :, :, :2]), None,
+        np.ascontiguousarray(camera_keypoints[None, :, :, :2]), None,
         camera_parameters([cameras[c] for c in cameras_of_person]),
-        np.ones((1, len(cameras_of_person)), bool), noise, _GATE, _CONDITION,
-        detailed=False,
+        np.ones((1, len(cameras_of_person)), bool), noise,
+        _OUTLIER_GATE, _MAX_CONDITION, detailed=False,
     )[0][0]  # fmt: skip
-    triangulated = np.isfinite(points).all(axis=-1)
+    is_triangulated = np.isfinite(points).all(axis=-1)
     return (
-        points if triangulated.sum() >= min(MIN_SHARED_KEYPOINTS, keypoints) else None
+        points
+        if is_triangulated.sum() >= min(MIN_SHARED_KEYPOINTS, keypoint_count)
+        else None
     )
 
 
@@ -272,7 +284,7 @@ def read_keypoints(
     fps: FractionLike | None,
     people: int | None = None,
 ) -> Observations:
-    """Return the keypoints of a folder, with people tracked across cameras.
+    """Read a folder of OpenPose keypoints, with people tracked across cameras.
 
     Args:
         folder: Contains a folder for each camera, named after its calibration or in the
@@ -300,55 +312,55 @@ def read_keypoints(
         message = "contains no folder of JSON files for each camera"
         raise FormatError(Fault("CAM010", message, str(folder)))
     names = _camera_names(folders, cameras)
-    frames = [dict(_numbered_files(subfolder)) for subfolder in folders]
-    first = min(min(files) for files in frames)
-    last = max(max(files) for files in frames)
+    files_by_frame = [dict(_numbered_files(subfolder)) for subfolder in folders]
+    first = min(min(files) for files in files_by_frame)
+    last = max(max(files) for files in files_by_frame)
     if last - first >= MAX_FRAMES:
         message = f"frames are numbered {first} to {last}: more than {MAX_FRAMES}"
         raise FormatError(Fault("CAM010", message, str(folder)))
-    frame_clock = Observations(
+    empty_observations = Observations(
         (), Clock(rate, Fraction(1), Fraction(1), last - first + 1),
         np.zeros((1, len(folders), 0, 2)), names, path=str(folder),
     )  # fmt: skip
-    matched_cameras = match_cameras(frame_clock, cameras)
+    matched_cameras = match_cameras(empty_observations, cameras)
     detections = [
-        [_read_people(files[f]) if f in files else [] for files in frames]
+        [_read_people(files[f]) if f in files else [] for files in files_by_frame]
         for f in range(first, last + 1)
     ]
-    counts = {len(p) for frame in detections for detected in frame for p in detected}
-    if len(counts) != 1:
-        message = f"people have {listed(sorted(counts)) or 'no'} keypoints"
+    keypoint_counts = {len(p) for frame in detections for group in frame for p in group}
+    if len(keypoint_counts) != 1:
+        message = f"people have {listed(sorted(keypoint_counts)) or 'no'} keypoints"
         hint = "all files must use one body model"
         raise FormatError(Fault("CAM010", message, str(folder), (), hint))
-    keypoint_count = counts.pop()
-    tracks = track_people(
+    keypoint_count = keypoint_counts.pop()
+    tracked_keypoints = track_people(
         detections, matched_cameras.cameras, float(rate), keypoint_count, people
     )
-    labels = _KEYPOINT_NAMES.get(keypoint_count) or tuple(
+    keypoint_names = _KEYPOINT_NAMES.get(keypoint_count) or tuple(
         f"point{i:02d}" for i in range(keypoint_count)
     )
-    person_count = tracks.shape[2] // keypoint_count
+    person_count = tracked_keypoints.shape[2] // keypoint_count
     point_names = tuple(
-        label if person_count == 1 else f"person{p + 1}_{label}"
+        keypoint_name if person_count == 1 else f"person{p + 1}_{keypoint_name}"
         for p in range(person_count)
-        for label in labels
+        for keypoint_name in keypoint_names
     )
     clock = Clock(rate, Fraction(first), Fraction(1), len(detections))
     return Observations(
-        point_names, clock, np.ascontiguousarray(tracks[..., :2]), names,
-        confidences=np.ascontiguousarray(tracks[..., 2]), path=str(folder),
+        point_names, clock, np.ascontiguousarray(tracked_keypoints[..., :2]), names,
+        confidences=np.ascontiguousarray(tracked_keypoints[..., 2]), path=str(folder),
     )  # fmt: skip
 
 
 def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
-    """Return the camera of each folder: by name, else in order."""
+    """Return each folder's camera by the folder's name; if none matches, in order."""
     calibrated_names = set(cameras.names)
     suffixes = ("", "_json", "-json")
     names = []
     for folder in folders:
-        stripped_names = [folder.name.removesuffix(end) for end in suffixes]
-        matches = (name for name in stripped_names if name in calibrated_names)
-        names.append(next(matches, ""))
+        bare_names = [folder.name.removesuffix(end) for end in suffixes]
+        matching_names = (name for name in bare_names if name in calibrated_names)
+        names.append(next(matching_names, ""))
     if all(names):
         return tuple(names)
     if any(names):
@@ -362,14 +374,14 @@ def _camera_names(folders: list[Path], cameras: Cameras) -> tuple[str, ...]:
 
 
 def _numbered_files(folder: Path) -> Iterator[tuple[int, Path]]:
-    """Yield a camera's files with their frame numbers."""
+    """Yield frame number and path of the JSON files of one camera, sorted by path."""
     file_of_frame: dict[int, Path] = {}
     for path in sorted(folder.glob("*.json")):
-        number = _LAST_NUMBER.search(path.name.removesuffix("_keypoints.json"))
-        if number is None or len(number[1]) > 15:
+        number_match = _LAST_NUMBER.search(path.name.removesuffix("_keypoints.json"))
+        if number_match is None or len(number_match[1]) > 15:
             message = "has no frame number in its name"
             raise FormatError(Fault("CAM010", message, str(path)))
-        frame = int(number[1])
+        frame = int(number_match[1])
         if frame in file_of_frame:
             message = f"has frame number {frame}, as {file_of_frame[frame].name} has"
             raise FormatError(Fault("CAM010", message, str(path)))
@@ -378,11 +390,11 @@ def _numbered_files(folder: Path) -> Iterator[tuple[int, Path]]:
 
 
 def _read_people(path: Path) -> list[FloatArray]:
-    """Return the people of a file: x, y and confidence of keypoints ``(M, 3)``."""
+    """Read one frame's people, each x, y and confidence of keypoints ``(M, 3)``."""
     data = read_input(path, MAX_TEXT_BYTES)
     try:
-        value: Any = json.loads(data)
-        people = value["people"]
+        document: Any = json.loads(data)
+        people = document["people"]
         people_arrays = [
             np.array(keypoints["pose_keypoints_2d"], np.float64).reshape(-1, 3)
             for keypoints in people[: MAX_PEOPLE + 1]
@@ -393,7 +405,7 @@ def _read_people(path: Path) -> list[FloatArray]:
     if len(people) > MAX_PEOPLE:
         message = f"holds {len(people)} people; the limit is {MAX_PEOPLE}"
         raise FormatError(Fault("CAM010", message, str(path)))
-    detected = []
+    visible_people = []
     for keypoints in people_arrays:
         if not 0 < len(keypoints) <= MAX_KEYPOINTS:
             message = f"a person has {len(keypoints)} keypoints"
@@ -401,12 +413,12 @@ def _read_people(path: Path) -> list[FloatArray]:
         is_missing = ~np.isfinite(keypoints).all(axis=1) | (keypoints[:, 2] <= 0)
         keypoints[is_missing] = [np.nan, np.nan, 0]
         if not is_missing.all():
-            detected.append(keypoints)
-    return detected
+            visible_people.append(keypoints)
+    return visible_people
 
 
 def _error_reason(error: Exception) -> str:
-    """Return the reason of an exception as text for an error message."""
+    """Return why a JSON file cannot be used, as text after a colon."""
     if isinstance(error, KeyError):
         return f"it has no {error.args[0]!r}"
     if isinstance(error, RecursionError):

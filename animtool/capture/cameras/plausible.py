@@ -14,45 +14,45 @@ from animtool.core.units import LengthUnit, likely_unit
 from animtool.documents.document import Document, Location
 
 # Range of the largest distance of two cameras, from a stereo camera to a stadium [m].
-MIN_SPREAD, MAX_SPREAD = 0.01, 300.0
+MIN_CAMERA_SPREAD, MAX_CAMERA_SPREAD = 0.01, 300.0
 # Largest distance of two cameras in a typical capture [m].
-TYPICAL_SPREAD = 6.0
+TYPICAL_CAMERA_SPREAD = 6.0
 
 # Widest view that a lens without fisheye projection has [deg].
-MAX_VIEW = 150.0
+MAX_FIELD_OF_VIEW = 150.0
 # Focal lengths below are a fraction of the image's width, not millimetres.
-MAX_FRACTION = 3.0
+MAX_FOCAL_FRACTION = 3.0
 # Width of the sensor that focal lengths in millimetres are usually stated for [mm].
-FULL_FRAME = 36.0
+FULL_FRAME_WIDTH = 36.0
 
 
-def warn_of_focals(
+def warn_of_focal_lengths(
     document: Document, locations: Sequence[Location], cameras: Sequence[Camera]
 ) -> None:
-    """Warn of focal lengths that are not in pixels (CAM114).
+    """Warn if a camera's field of view is too wide for a focal length in px (CAM114).
 
     locations: Location of each camera's focal lengths.
     """
     wide_cameras = []
     for location, camera in zip(locations, cameras, strict=True):
         width = camera.size[0] if camera.size else 2 * camera.centre[0]
-        view = math.degrees(2 * math.atan2(width / 2, camera.focal[0]))
-        if width > 1 and view > MAX_VIEW:
-            wide_cameras.append((location, camera.focal[0], width, view))
+        field_of_view = math.degrees(2 * math.atan2(width / 2, camera.focal[0]))
+        if width > 1 and field_of_view > MAX_FIELD_OF_VIEW:
+            wide_cameras.append((location, camera.focal[0], width, field_of_view))
     if not wide_cameras:
         return
-    location, focal, width, view = wide_cameras[0]
+    location, focal, width, field_of_view = wide_cameras[0]
     message = f"a focal length of {focal:.4g} px for an image of {width:.5g} px is a "
-    message += f"field of view of {view:.0f}°"
+    message += f"field of view of {field_of_view:.0f}°"
     if len(wide_cameras) > 1:
         message += f"; the same holds for {len(wide_cameras) - 1} more"
-    number = f"{focal:.4g} * {width:.5g}"
+    size_product = f"{focal:.4g} * {width:.5g}"
     hint = f"focal lengths are in pixels: {focal:.4g} mm on a sensor of "
-    hint += f"{FULL_FRAME:g} mm is {number} / {FULL_FRAME:g} = "
-    hint += f"{focal * width / FULL_FRAME:.0f}"
-    if focal <= MAX_FRACTION:
+    hint += f"{FULL_FRAME_WIDTH:g} mm is {size_product} / {FULL_FRAME_WIDTH:g} = "
+    hint += f"{focal * width / FULL_FRAME_WIDTH:.0f}"
+    if focal <= MAX_FOCAL_FRACTION:
         hint = "focal lengths are in pixels: as a fraction of the image's width it is "
-        hint += f"{number} = {focal * width:.0f}"
+        hint += f"{size_product} = {focal * width:.0f}"
     document.warn("CAM114", location, message, hint)
 
 
@@ -62,7 +62,7 @@ def warn_of_spread(
     cameras: Sequence[Camera],
     unit: LengthUnit,
     *,
-    is_stated: bool,
+    is_unit_stated: bool,
 ) -> None:
     """Warn of cameras that are too far apart, or too close (CAM113).
 
@@ -71,14 +71,18 @@ def warn_of_spread(
     positions = np.array([camera.position for camera in cameras]).reshape(-1, 3)
     offsets = positions[:, None] - positions
     spread = float(np.linalg.norm(offsets, axis=-1).max(initial=0.0))
-    if len(cameras) < 2 or spread == 0 or MIN_SPREAD <= spread <= MAX_SPREAD:
+    if (
+        len(cameras) < 2
+        or spread == 0
+        or MIN_CAMERA_SPREAD <= spread <= MAX_CAMERA_SPREAD
+    ):
         return
-    likely, likely_spread = likely_unit(spread, unit, TYPICAL_SPREAD)
+    nearest_unit, converted_spread = likely_unit(spread, unit, TYPICAL_CAMERA_SPREAD)
     message = f"the cameras are up to {length_text(spread)} apart"
     hint = f"are the translations in {unit}?"
-    if MIN_SPREAD <= likely_spread <= MAX_SPREAD:
-        message += f"; in {likely} it would be {length_text(likely_spread)}"
-        hint = f"write units: {{length: {likely}}} in the file"
-        if not is_stated:
-            hint += f", or set {argument('source.unit', likely)}"
+    if MIN_CAMERA_SPREAD <= converted_spread <= MAX_CAMERA_SPREAD:
+        message += f"; in {nearest_unit} it would be {length_text(converted_spread)}"
+        hint = f"write units: {{length: {nearest_unit}}} in the file"
+        if not is_unit_stated:
+            hint += f", or set {argument('source.unit', nearest_unit)}"
     document.warn("CAM113", location, message, hint)

@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from animtool.capture.cameras.camera import Camera
-from animtool.capture.cameras.stale import MIN_VIEW, CameraDisagreement, PoseShift
+from animtool.capture.cameras.stale import MIN_VIEWS, CameraDisagreement, PoseShift
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent_text
@@ -19,14 +19,14 @@ from animtool.core.shot import frame_spans
 from animtool.motion.markers import Markers
 
 # Fraction of a camera's outliers above which it is reported [1].
-MAX_OUTLIER_FRACTION = 0.1
+MAX_CAMERA_OUTLIERS = 0.1
 # Fraction of lost points in a frame above which it is reported [1].
 MAX_LOST_FRACTION = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class CameraReport:
-    """Agreement of one camera with the triangulated points, and its shifts.
+    """One camera's agreement with the triangulated points, and where it moved.
 
     Attributes:
         name: Name of the camera.
@@ -62,7 +62,7 @@ class CameraReport:
 
 @dataclass(frozen=True, slots=True)
 class Triangulation:
-    """Triangulated points, and the agreement of the cameras.
+    """Result of a triangulation: points, and how well the cameras agree.
 
     Attributes:
         markers: The points, with camera counts and residuals.
@@ -99,76 +99,78 @@ class Triangulation:
 
 @dataclass(frozen=True, slots=True)
 class ObservationCounts:
-    """Observation counts per frame and camera, from the kernel ``(F, C, 8)``."""
+    """The kernel's counts and squared residuals by frame and camera ``(F, C, 8)``."""
 
-    values: FloatArray
+    tallies: FloatArray
 
     @property
     def used(self) -> FloatArray:
-        """Observations used for points ``(F, C)``."""
-        return self.values[..., 1]
+        """Number of observations used for points ``(F, C)``."""
+        return self.tallies[..., 1]
 
     @property
-    def of_triangulated(self) -> FloatArray:
-        """Observations of triangulated points ``(F, C)``."""
-        return self.values[..., 2]
+    def tested(self) -> FloatArray:
+        """Number of observations of points that have a position ``(F, C)``."""
+        return self.tallies[..., 2]
 
     @property
     def rejected(self) -> FloatArray:
-        """Rejected observations of triangulated points ``(F, C)``."""
-        return self.values[..., 3]
+        """Number of outliers among observations of triangulated points ``(F, C)``."""
+        return self.tallies[..., 3]
 
     def report(
         self, camera: int, name: str, noise: float, shifts: tuple[PoseShift, ...]
     ) -> CameraReport:
-        """Return the report of a camera."""
-        sums = self.values[:, camera].sum(axis=0)
-        observed, used, judged, rejected, no_ray, pixels, metres, outside = sums
+        """Return a camera's report: sums of its counts, and root mean square errors."""
+        sums = self.tallies[:, camera].sum(axis=0)
+        observed, used, tested, rejected, no_ray, squared_px, squared_m, outside = sums
         return CameraReport(
             name,
             int(observed),
             int(used),
-            float(rejected / judged) if judged else 0.0,
-            float(np.sqrt(pixels / used)) if used else np.nan,
-            float(1000 * np.sqrt(metres / used)) if used else np.nan,
+            float(rejected / tested) if tested else 0.0,
+            float(np.sqrt(squared_px / used)) if used else np.nan,
+            float(1000 * np.sqrt(squared_m / used)) if used else np.nan,
             noise,
             int(no_ray),
             int(outside),
             shifts,
         )
 
-    def errors(self) -> tuple[float, float]:
-        """Return the reprojection error of all used observations [px] and [mm]."""
+    def reprojection_errors(self) -> tuple[float, float]:
+        """Return the root mean square error of all used observations [px] and [mm]."""
         used = max(1.0, float(self.used.sum()))
-        pixels, metres = self.values[..., 5:7].sum(axis=(0, 1))
-        return float(np.sqrt(pixels / used)), float(1000 * np.sqrt(metres / used))
+        squared_px, squared_m = self.tallies[..., 5:7].sum(axis=(0, 1))
+        return float(np.sqrt(squared_px / used)), float(
+            1000 * np.sqrt(squared_m / used)
+        )
 
 
 def camera_notices(
     report: CameraReport, camera: Camera, clock: Clock, path: str, *, is_kept: bool
 ) -> Iterator[Fault]:
-    """Yield warnings about a camera.
+    """Yield warnings if a camera moved, sees nothing or has many outliers (CAM101-111).
 
     is_kept: Whether the camera is used even where its pose shifted.
     """
 
-    def warning(code: str, message: str, hint: str | None = None) -> Fault:
-        """Return a warning about the camera's file."""
-        return Fault(code, message, path or None, (), hint, Severity.WARNING)
+    def warning(code: str, text: str, hint: str | None = None) -> Fault:
+        """Return a warning located in the observations file."""
+        return Fault(code, text, path or None, (), hint, Severity.WARNING)
 
     for shift in report.shifts:
         is_every_frame = shift.first == 0 and shift.end == clock.count
-        text = f"camera {report.name!r} moved in frames {shift.first + 1} to "
+        text = f"camera {report.name!r} moved in frames {shift.number} to "
         text += f"{shift.end}"
         if is_every_frame:
             text = f"camera {report.name!r} does not match its calibration in any frame"
         text += f": {percent_text(shift.outliers)} of its points are outliers"
         hint = "calibrate it again"
         if shift.change is not None and shift.change.matching:
-            matching = repr(shift.change.matching)
-            text += f", and the calibration of {matching} fits them"
+            matching_name = repr(shift.change.matching)
+            text += f", and the calibration of {matching_name} fits them"
             hint = f"exchange the points or the calibrations of {report.name!r} and "
-            hint += matching
+            hint += matching_name
         elif shift.change is not None:
             text += f", and {shift.change} would explain it"
         if shift.kept:
@@ -178,16 +180,14 @@ def camera_notices(
         yield warning("CAM101", text, hint)
     if report.disagrees:
         worst = max(report.disagrees, key=lambda disagreement: disagreement.outliers)
-        frames_text = frame_spans(
-            [disagreement.frame + 1 for disagreement in report.disagrees]
-        )
+        frames_text = frame_spans([frame.number for frame in report.disagrees])
         text = f"camera {report.name!r} disagrees with the others in "
         text += f"{counted(len(report.disagrees), 'frame')}: {frames_text}"
         if worst.outliers > 0:
-            text += f" ({percent_text(worst.outliers)} outliers in {worst.frame + 1})"
+            text += f" ({percent_text(worst.outliers)} outliers in {worst.number})"
         hint = "was it bumped or out of sync there? its outliers are excluded"
         yield warning("CAM111", text, hint)
-    if report.outliers > MAX_OUTLIER_FRACTION and not report.shifts:
+    if report.outliers > MAX_CAMERA_OUTLIERS and not report.shifts:
         text = f"{percent_text(report.outliers)} of the points of camera "
         text += f"{report.name!r} are "
         yield warning("CAM102", f"{text}outliers", "check its labels and its clock")
@@ -204,31 +204,31 @@ def camera_notices(
         yield warning("CAM107", text, hint)
 
 
-def lost_frames(
+def lost_frame_notices(
     positions: FloatArray, is_visible: BoolArray, clock: Clock, path: str
 ) -> Iterator[Fault]:
-    """Yield warnings about frames in which most visible points have no position.
+    """Yield a warning about frames in which most visible points are gaps (CAM112).
 
     Positions ``(F, M, 3)`` are NaN in a gap; ``is_visible`` ``(F, M)`` marks points
     that two or more cameras see.
     """
     lost_counts = (is_visible & np.isnan(positions[..., 0])).sum(axis=1)
-    frames = np.flatnonzero(
+    lost_frames = np.flatnonzero(
         (lost_counts > MAX_LOST_FRACTION * is_visible.sum(axis=1))
-        & (lost_counts >= MIN_VIEW)
+        & (lost_counts >= MIN_VIEWS)
     )
-    if not len(frames) or len(frames) == clock.count:
+    if not len(lost_frames) or len(lost_frames) == clock.count:
         return
-    text = f"cameras disagree in {counted(len(frames), 'frame')}: "
-    text += f"{frame_spans((frames + 1).tolist())}; most points there are gaps"
+    message = f"cameras disagree in {counted(len(lost_frames), 'frame')}: "
+    message += f"{frame_spans((lost_frames + 1).tolist())}; most points there are gaps"
     hint = "too few cameras see them to tell which one is wrong: one may have moved"
-    yield Fault("CAM112", text, path or None, (), hint, Severity.WARNING)
+    yield Fault("CAM112", message, path or None, (), hint, Severity.WARNING)
 
 
 def gap_notices(
     names: Sequence[str], positions: FloatArray, visible_count: int, path: str
 ) -> Iterator[Fault]:
-    """Yield warnings about points without a position.
+    """Yield warnings about points that are never triangulated, or not in some frames.
 
     positions: ``(F, M, 3)``, NaN for a gap.
     """

@@ -15,14 +15,14 @@ from animtool.maths.runs import merge_runs, runs
 from animtool.maths.so3 import exp, from_matrix, log, to_matrix
 
 # Minimum fraction of outliers of a camera that does not fit its calibration [1].
-MIN_REJECTED_FRACTION = 0.5
+MISFIT_FRACTION = 0.5
 # Minimum duration [s] and number of observations to judge it.
-MIN_SECONDS = 0.25
+MIN_SHIFT_SECONDS = 0.25
 MIN_OBSERVATIONS = 20
 _GAUSS_NEWTON_STEPS = 8
 # Minimum observations for testing a camera in a frame; how far the other observations
 # deviate, over the noise; and by how many standard errors.
-MIN_VIEW, MAX_NOISE_RATIO, SAMPLING_SPREAD = 3, 2.0, 6.0
+MIN_VIEWS, MAX_DEVIATION_RATIO, MAX_STANDARD_ERRORS = 3, 2.0, 6.0
 
 # Error of another camera that fits, over the camera's own error; neighbours reach .28.
 MATCH_ERROR_RATIO = 0.05
@@ -30,7 +30,7 @@ MATCH_ERROR_RATIO = 0.05
 
 @dataclass(frozen=True, slots=True)
 class PoseChange:
-    """A change of a camera's pose."""
+    """Rotation and shift of a camera since its calibration, and its error after it."""
 
     angle: float  # rotation [rad]
     distance: float  # translation [m]
@@ -38,7 +38,7 @@ class PoseChange:
     matching: str = ""  # name of a camera whose calibration fits as well; or empty
 
     def __str__(self) -> str:
-        """Return the rotation and the shift as text."""
+        """Return rotation [deg], shift [mm] and error [px] as text for messages."""
         rotation = f"a rotation of {np.degrees(self.angle):.2f} degrees"
         shift = f"a shift of {1000 * self.distance:.1f} mm"
         return f"{rotation} and {shift} (reprojection then {self.error_px:.2f} px)"
@@ -84,35 +84,34 @@ class CameraDisagreement:
 
 
 def find_shifted_ranges(
-    triangulated_counts: FloatArray,
-    rejected: FloatArray,
-    active: BoolArray,
-    rate: float,
+    tested_counts: FloatArray, rejections: FloatArray, is_active: BoolArray, rate: float
 ) -> tuple[int, list[PoseShift]] | None:
-    """Return the worst-fitting camera and its frame ranges; None if all fit.
+    """Return the camera with most outliers and its misfit ranges; None if all fit.
 
     Counts of observations of triangulated points, outliers among them and use of the
     cameras are ``(F, C)``. A camera is skipped if fewer than two would remain without
     it.
     """
-    window = max(1, min(len(triangulated_counts), round(MIN_SECONDS * rate)))
+    window = max(1, min(len(tested_counts), round(MIN_SHIFT_SECONDS * rate)))
     worst_fit: tuple[int, list[PoseShift]] | None = None
     most_rejections = 0
-    for camera in range(triangulated_counts.shape[1]):
-        is_active = active[:, camera] & (active.sum(axis=1) > 2)
-        count, rejected_count = (
-            _window_sums(np.where(is_active, counts[:, camera], 0), window)
-            for counts in (triangulated_counts, rejected)
+    for camera in range(tested_counts.shape[1]):
+        is_tested = is_active[:, camera] & (is_active.sum(axis=1) > 2)
+        window_counts, window_rejections = (
+            _window_sums(np.where(is_tested, counts[:, camera], 0), window)
+            for counts in (tested_counts, rejections)
         )
-        is_off = (
-            is_active
-            & (rejected_count > MIN_REJECTED_FRACTION * count)
-            & (count >= MIN_OBSERVATIONS)
+        is_misfit = (
+            is_tested
+            & (window_rejections > MISFIT_FRACTION * window_counts)
+            & (window_counts >= MIN_OBSERVATIONS)
         )
-        rejections = np.where(is_active[:, None], rejected, 0.0)
-        ranges = _exact_ranges(triangulated_counts, rejections, camera, is_off, window)
+        active_rejections = np.where(is_tested[:, None], rejections, 0.0)
+        ranges = _exact_ranges(
+            tested_counts, active_rejections, camera, is_misfit, window
+        )
         rejection_total = sum(
-            int(rejected[shift.first : shift.end, camera].sum()) for shift in ranges
+            int(rejections[shift.first : shift.end, camera].sum()) for shift in ranges
         )
         if rejection_total > most_rejections:
             worst_fit, most_rejections = (camera, ranges), rejection_total
@@ -120,51 +119,55 @@ def find_shifted_ranges(
 
 
 def find_stale_ranges(
-    triangulated_counts: FloatArray, rejected: FloatArray, camera: int, rate: float
+    tested_counts: FloatArray, rejections: FloatArray, camera: int, rate: float
 ) -> list[PoseShift]:
     """Return ranges in which an unused camera does not fit; the full take by default.
 
     Arguments are those of `find_shifted_ranges`.
     """
-    window = max(1, min(len(triangulated_counts), round(MIN_SECONDS * rate)))
-    count = _window_sums(triangulated_counts[:, camera], window)
-    rejected_count = _window_sums(rejected[:, camera], window)
-    is_observed = count >= MIN_OBSERVATIONS
-    is_off = (rejected_count > MIN_REJECTED_FRACTION * count) | ~is_observed
-    if not (is_off & is_observed).any():
-        is_off[:] = True
-    return _exact_ranges(triangulated_counts, rejected, camera, is_off, window)
+    window = max(1, min(len(tested_counts), round(MIN_SHIFT_SECONDS * rate)))
+    window_counts = _window_sums(tested_counts[:, camera], window)
+    window_rejections = _window_sums(rejections[:, camera], window)
+    is_observed = window_counts >= MIN_OBSERVATIONS
+    is_misfit = (window_rejections > MISFIT_FRACTION * window_counts) | ~is_observed
+    if not (is_misfit & is_observed).any():
+        is_misfit[:] = True
+    return _exact_ranges(tested_counts, rejections, camera, is_misfit, window)
 
 
 def find_disagreements(
-    values: FloatArray, camera: int, noise: float, is_active: BoolArray
+    tallies: FloatArray, camera: int, noise: float, is_active: BoolArray
 ) -> list[CameraDisagreement]:
     """Return single frames in which a camera does not agree with the others.
 
-    ``values`` are tallies of the kernel ``(F, C, 8)``; the noise is the standard
+    ``tallies`` are tallies of the kernel ``(F, C, 8)``; the noise is the standard
     deviation of an axis of the camera's observations [px].
     """
-    _, used, triangulated_counts, rejected, _, pixels, *_ = values[:, camera].T
+    _, used_counts, tested_counts, rejections, _, squared_px, *_ = tallies[:, camera].T
     with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = pixels / used / (2 * noise**2)
-        ratio_limit = 1 + SAMPLING_SPREAD / np.sqrt(used)
-    is_mostly_rejected = rejected > MIN_REJECTED_FRACTION * triangulated_counts
-    is_loud = (used >= MIN_VIEW) & (ratio > np.maximum(MAX_NOISE_RATIO**2, ratio_limit))
-    is_active = is_active & (triangulated_counts >= MIN_VIEW)
-    frames = np.flatnonzero(is_active & (is_mostly_rejected | is_loud))
+        noise_ratios = squared_px / used_counts / (2 * noise**2)
+        max_ratios = 1 + MAX_STANDARD_ERRORS / np.sqrt(used_counts)
+    is_mostly_rejected = rejections > MISFIT_FRACTION * tested_counts
+    is_noisy = (used_counts >= MIN_VIEWS) & (
+        noise_ratios > np.maximum(MAX_DEVIATION_RATIO**2, max_ratios)
+    )
+    is_active = is_active & (tested_counts >= MIN_VIEWS)
+    frame_indices = np.flatnonzero(is_active & (is_mostly_rejected | is_noisy))
     return [
         CameraDisagreement(
             f,
-            float(rejected[f] / triangulated_counts[f]),
-            float(np.sqrt(pixels[f] / used[f])) if used[f] else float("nan"),
+            float(rejections[f] / tested_counts[f]),
+            float(np.sqrt(squared_px[f] / used_counts[f]))
+            if used_counts[f]
+            else float("nan"),
         )
-        for f in frames.tolist()
+        for f in frame_indices.tolist()
     ]
 
 
 def truncated_error(
     residuals: FloatArray,
-    visible: BoolArray,
+    is_visible: BoolArray,
     noise: FloatArray,
     gate: float,
     has_extra_camera: BoolArray | bool = False,
@@ -173,53 +176,52 @@ def truncated_error(
 
     Residuals ``(F, C, M, 2)`` [px] beyond the gate, a multiple of the noise ``(C,)``
     [px], are set to the gate, and so are NaN ones of points without a position. Only
-    ``visible`` observations count; ``has_extra_camera`` ``(F, M)`` marks points that
+    ``is_visible`` observations count; ``has_extra_camera`` ``(F, M)`` marks points that
     one more camera is used for.
     """
     squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
     squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
-    count = visible.sum(axis=1)
+    counts = is_visible.sum(axis=1)
     # A point takes 3 of the 2n residuals of all n cameras that see it.
-    degrees_of_freedom = 2 * count - 3 * count / np.maximum(count + has_extra_camera, 1)
-    return float(squares[visible].sum() / max(float(degrees_of_freedom.sum()), 1e-12))
+    degrees = 2 * counts - 3 * counts / np.maximum(counts + has_extra_camera, 1)
+    return float(squares[is_visible].sum() / max(float(degrees.sum()), 1e-12))
 
 
 def _exact_ranges(
-    triangulated_counts: FloatArray,
-    rejected: FloatArray,
+    tested_counts: FloatArray,
+    rejections: FloatArray,
     camera: int,
-    is_off: BoolArray,
+    is_misfit: BoolArray,
     window: int,
 ) -> list[PoseShift]:
-    """Return the exact frame ranges in which a camera does not fit."""
-    is_rejected = np.append(
-        rejected[:, camera] > MIN_REJECTED_FRACTION * triangulated_counts[:, camera],
-        False,
+    """Return runs of misfit windows, extended by adjacent frames with outliers."""
+    is_frame_rejected = np.append(
+        rejections[:, camera] > MISFIT_FRACTION * tested_counts[:, camera], False
     )
     # A shift that lasts a window shows for at least half of one around it.
     min_frames = max(1, window // 2)
     ranges = []
-    for begin, end in merge_runs(runs(is_off), window):
-        if end - begin < min_frames:
+    for start, end in merge_runs(runs(is_misfit), window):
+        if end - start < min_frames:
             continue
-        first = begin - int(np.argmin(is_rejected[:begin][::-1])) if begin else 0
-        if begin and is_rejected[:begin].all():
+        first = start - int(np.argmin(is_frame_rejected[:start][::-1])) if start else 0
+        if start and is_frame_rejected[:start].all():
             first = 0
-        last = end + int(np.argmin(is_rejected[end:]))
-        observed = max(1, triangulated_counts[first:last, camera].sum())
-        outliers = float(rejected[first:last, camera].sum() / observed)
+        last = end + int(np.argmin(is_frame_rejected[end:]))
+        observation_count = max(1, tested_counts[first:last, camera].sum())
+        outliers = float(rejections[first:last, camera].sum() / observation_count)
         ranges.append(PoseShift(first, last, outliers))
     return ranges
 
 
 def _window_sums(values: FloatArray, window: int) -> FloatArray:
-    """Return moving sums over a window that stays within the frames ``(F,)``."""
-    cumulative = np.concatenate([[0], np.cumsum(values)])
+    """Return sums over the ``window`` frames around each frame of the take ``(F,)``."""
+    cumulative_sums = np.concatenate([[0], np.cumsum(values)])
     frames = np.arange(len(values))
     first = np.maximum(frames - window // 2, 0)
     end = np.minimum(first + window, len(values))
     first = np.maximum(end - window, 0)
-    return np.asarray(cumulative[end] - cumulative[first])
+    return np.asarray(cumulative_sums[end] - cumulative_sums[first])
 
 
 def fit_pose_change(
@@ -252,23 +254,23 @@ def fit_pose_change(
         jacobian = _pixel_derivatives(refined_camera, points)
         is_usable &= np.isfinite(jacobian).all(axis=(1, 2))
         root_weights = np.sqrt(weights[is_usable])[:, None]
-        matrix = (jacobian[is_usable] * root_weights[..., None]).reshape(-1, 6)
+        design_matrix = (jacobian[is_usable] * root_weights[..., None]).reshape(-1, 6)
         weighted_residuals = (residual_vectors[is_usable] * root_weights).ravel()
-        step = np.linalg.lstsq(matrix, -weighted_residuals, rcond=None)[0]
+        step = np.linalg.lstsq(design_matrix, -weighted_residuals, rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    error = _median_error(refined_camera, points, pixels)
+    refined_error = _median_error(refined_camera, points, pixels)
     initial_error = _median_error(camera, points, pixels)
-    if not error < 0.5 * initial_error:
+    if not refined_error < 0.5 * initial_error:
         return None
     errors = {other.name: _median_error(other, points, pixels) for other in others}
     best_name = min(errors, key=errors.__getitem__, default="")
     is_match = errors.get(best_name, np.inf) < MATCH_ERROR_RATIO * initial_error
-    angle_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
+    rotation_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
     return PoseChange(
-        float(np.linalg.norm(angle_vector)),
+        float(np.linalg.norm(rotation_vector)),
         float(np.linalg.norm(refined_camera.position - camera.position)),
-        error,
+        refined_error,
         best_name if is_match else "",
     )
 
@@ -283,7 +285,7 @@ def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:
     """Return the Jacobian of pixels with respect to the camera's pose ``(N, 2, 6)``."""
     projected_points = project(camera, points)
     increment = 1e-6
-    columns = []
+    slopes = []
     for axis in range(6):
         rotation = to_matrix(exp(increment * np.eye(6)[axis][:3]))
         shift = increment * np.eye(6)[axis][3:]
@@ -292,5 +294,5 @@ def _pixel_derivatives(camera: Camera, points: FloatArray) -> FloatArray:
             rotation=rotation @ camera.rotation,
             translation=rotation @ camera.translation + shift,
         )
-        columns.append((project(shifted_camera, points) - projected_points) / increment)
-    return np.stack(columns, axis=-1)
+        slopes.append((project(shifted_camera, points) - projected_points) / increment)
+    return np.stack(slopes, axis=-1)

@@ -17,18 +17,18 @@ from animtool import _kernels
 from animtool.capture.cameras.camera import Cameras, camera_parameters
 from animtool.capture.cameras.conventions import MIN_IMPROVEMENT, better_convention
 from animtool.capture.cameras.delays import delay_warnings
-from animtool.capture.cameras.noise import USED, measure_noise, sampled_initial_noise
+from animtool.capture.cameras.noise import USED_STATE, measure_noise, sampled_noise
 from animtool.capture.cameras.observations import (
     Observations,
     match_cameras,
-    other_pixels,
+    pixels_in_other_conventions,
 )
 from animtool.capture.cameras.report import (
     ObservationCounts,
     Triangulation,
     camera_notices,
     gap_notices,
-    lost_frames,
+    lost_frame_notices,
 )
 from animtool.capture.cameras.stale import (
     CameraDisagreement,
@@ -51,11 +51,11 @@ from animtool.motion.markers import Markers
 BLOCK_VALUES = 500_000
 # With noise above this fraction of an image's width, cameras and observations do not
 # belong together [1].
-MAX_NOISE = 0.03
+MAX_NOISE_FRACTION = 0.03
 # Keypoint detectors have less noise than this fraction of the width [1].
-SUSPECT_NOISE = 0.01
+SUSPECT_NOISE_FRACTION = 0.01
 # Number of frames for estimating a camera's pose change.
-_CHANGE_FRAMES = 50
+_POSE_CHANGE_FRAMES = 50
 # Relative difference below which errors count as equal [1]: outliers of a camera that
 # is kept are rejected anyway.
 TIE_COST_RATIO = 1.02
@@ -70,7 +70,7 @@ def triangulate(
     *,
     progress: Progress | None = None,
 ) -> Triangulation:
-    """Return the points that calibrated cameras observe.
+    """Triangulate the points that calibrated cameras observe.
 
     Args:
         observations: Pixels in each frame.
@@ -90,7 +90,7 @@ def triangulate(
 
 
 def _check_options(options: TriangulateOptions) -> None:
-    """Raise if an option is out of range."""
+    """Raise unless gate and noise are above 0 and the angle is below 90° (CAP001)."""
     for name in ("gate", "noise"):
         value = getattr(options, name)
         if value is not None and not 0 < value < np.inf:
@@ -104,11 +104,11 @@ def _check_options(options: TriangulateOptions) -> None:
 
 
 # Warnings about a camera that a delay explains.
-POSE_CODES = {"CAM101", "CAM102", "CAM111"}
+DELAY_CODES = {"CAM101", "CAM102", "CAM111"}
 
 
 class _TriangulationRun:
-    """State of a triangulation."""
+    """A triangulation in progress: noise, points, tallies and active cameras."""
 
     def __init__(
         self,
@@ -119,47 +119,50 @@ class _TriangulationRun:
     ) -> None:
         self.observations, self.cameras, self.options = observations, cameras, options
         self.progress = progress
-        self.frames, self.views, self.markers = observations.stored.shape[:3]
-        self.camera_arrays = camera_parameters(cameras.cameras)
-        self.active = np.ones((self.frames, self.views), bool)
-        self.noise = np.ones(self.views)
-        self.positions = np.full((self.frames, self.markers, 3), np.nan)
-        self.known = np.full((self.frames, self.markers, 5), np.nan)
-        self.tallies = ObservationCounts(np.zeros((self.frames, self.views, 8)))
+        shape = observations.stored.shape
+        self.frame_count, self.view_count, self.marker_count = shape[:3]
+        self.kernel_cameras = camera_parameters(cameras.cameras)
+        self.is_active = np.ones((self.frame_count, self.view_count), bool)
+        self.noise = np.ones(self.view_count)
+        self.positions = np.full((self.frame_count, self.marker_count, 3), np.nan)
+        self.statistics = np.full((self.frame_count, self.marker_count, 5), np.nan)
+        self.counts = ObservationCounts(
+            np.zeros((self.frame_count, self.view_count, 8))
+        )
         self.notices = [*cameras.notices, *observations.notices]
-        self.shifts: list[list[PoseShift]] = [[] for _ in range(self.views)]
+        self.shifts: list[list[PoseShift]] = [[] for _ in range(self.view_count)]
 
     def run(self) -> Triangulation:
-        """Return the points and the reports."""
-        stale = self._measure_noise()
-        self._solve_frames(0, self.frames)
-        self._record_stale(stale)
-        self._exclude_shifted()
+        """Triangulate all frames; exclude cameras where they moved, and solve again."""
+        pose_changes = self._measure_noise()
+        self._solve_frames(0, self.frame_count)
+        self._exclude_stale_cameras(pose_changes)
+        self._exclude_shifted_cameras()
         self._check_triangulated()
         return self._build_result()
 
     def _measure_noise(self) -> dict[int, PoseChange]:
         """Measure the noise; return the stale cameras with their pose changes."""
         if self.options.noise is not None:
-            self.noise = np.full(self.views, float(self.options.noise))
+            self.noise = np.full(self.view_count, float(self.options.noise))
             return {}
         gate, cameras = self.options.gate, self.cameras.cameras
         noise = measure_noise(self.observations, cameras, gate, self._max_condition)
         if not self.options.keep_moved:
-            self.active[:, list(noise.pose_changes)] = False
-        self.noise = noise.pixels
+            self.is_active[:, list(noise.pose_changes)] = False
+        self.noise = noise.deviations_px
         median_noise = float(np.median(self.noise))
         widths = [c.size[0] if c.size else 2 * c.centre[0] for c in cameras]
         width = max(1.0, float(np.median(widths)))
-        limit = SUSPECT_NOISE * width
-        if noise.pose_changes or not noise.cameras_agree or median_noise > limit:
-            self._refuse_other_convention(limit)
-            self._refuse_other_pixels(limit)
-        if median_noise > MAX_NOISE * width:
+        max_noise = SUSPECT_NOISE_FRACTION * width
+        if noise.pose_changes or not noise.do_cameras_agree or median_noise > max_noise:
+            self._refuse_other_convention(max_noise)
+            self._refuse_other_pixels(max_noise)
+        if median_noise > MAX_NOISE_FRACTION * width:
             message = "cameras disagree: their rays miss each other by "
             message += f"{median_noise:.0f} px"
             self._refuse_cameras(message)
-        if not noise.cameras_agree or median_noise > limit:
+        if not noise.do_cameras_agree or median_noise > max_noise:
             message = f"rays of the cameras miss each other by {median_noise:.1f} px"
             hint = "a camera may have moved, or this may be the calibration of another "
             hint += "stage or day; calibrate the cameras again"
@@ -168,32 +171,36 @@ class _TriangulationRun:
             self.notices.append(fault)
         return noise.pose_changes
 
-    def _refuse_other_convention(self, limit: float) -> None:
+    def _refuse_other_convention(self, max_noise: float) -> None:
         """Raise if poses fit in another convention, such as w-last quaternions."""
-        improvement = better_convention(
+        better_fit = better_convention(
             self.cameras.cameras,
-            lambda cameras: sampled_initial_noise(self.observations, cameras),
-            limit,
+            lambda cameras: sampled_noise(self.observations, cameras),
+            max_noise,
         )
-        if improvement is None:
+        if better_fit is None:
             return
-        convention, noise, noise_as_read = improvement
-        written, remedy = convention.texts
+        convention, noise, noise_as_read = better_fit
+        difference, remedy = convention.description_and_remedy
         message = f"rays of the cameras miss each other by {noise_as_read:.1f} px, but "
-        message += f"by {noise:.1f} px if {written}"
+        message += f"by {noise:.1f} px if {difference}"
         hint = f"{remedy}: x_camera = rotation * x_world + translation"
         path = self.cameras.path or None
         raise OptionError(Fault("CAM014", message, path, hint=hint))
 
-    def _refuse_other_pixels(self, limit: float) -> None:
+    def _refuse_other_pixels(self, max_noise: float) -> None:
         """Raise if pixels fit as [v, u], or with v upwards (CAM014)."""
         cameras, observations = self.cameras.cameras, self.observations
-        as_read = sampled_initial_noise(observations, cameras)
-        for text, remedy, stored in other_pixels(observations, cameras):
-            noise = sampled_initial_noise(replace(observations, stored=stored), cameras)
-            if noise <= min(limit, as_read / MIN_IMPROVEMENT):
-                message = f"rays of the cameras miss each other by {as_read:.1f} px, "
-                message += f"but by {noise:.1f} px if pixels are {text}"
+        noise_as_read = sampled_noise(observations, cameras)
+        for convention, remedy, stored in pixels_in_other_conventions(
+            observations, cameras
+        ):
+            noise = sampled_noise(replace(observations, stored=stored), cameras)
+            if noise <= min(max_noise, noise_as_read / MIN_IMPROVEMENT):
+                message = (
+                    f"rays of the cameras miss each other by {noise_as_read:.1f} px, "
+                )
+                message += f"but by {noise:.1f} px if pixels are {convention}"
                 hint = f"{remedy}: u points right and v down, from the top left"
                 path = observations.path or None
                 raise OptionError(Fault("CAM014", message, path, hint=hint))
@@ -207,59 +214,62 @@ class _TriangulationRun:
         return float(2 / max(np.sin(self.options.min_angle / 2) ** 2, 1e-12))
 
     def _solve_frames(self, first: int, end: int) -> None:
-        """Solve frames block by block, and store the results."""
-        size = max(1, BLOCK_VALUES // (self.views * self.markers))
-        for block_first in range(first, end, size):
-            block = slice(block_first, min(block_first + size, end))
-            observed = self._observations_of(block_first, block.stop)
-            self.positions[block], self.known[block], self.tallies.values[block], *_ = (
-                self._triangulate(observed, self.active[block], detailed=False)
-            )
+        """Triangulate frames block by block; store points, statistics and tallies."""
+        block_size = max(1, BLOCK_VALUES // (self.view_count * self.marker_count))
+        for block_first in range(first, end, block_size):
+            block = slice(block_first, min(block_first + block_size, end))
+            views = self._observations_of(block_first, block.stop)
+            results = self._triangulate(views, self.is_active[block], is_detailed=False)
+            self.positions[block], self.statistics[block] = results[:2]
+            self.counts.tallies[block] = results[2]
             if self.progress is not None:
-                self.progress(block.stop / self.frames)
+                self.progress(block.stop / self.frame_count)
 
     def _observations_of(self, *frames: int) -> tuple[FloatArray, FloatArray | None]:
-        """Return the pixels and confidences of frames: first, end and step."""
+        """Return pixels and confidences of the frames from first to end by step."""
         observations = self.observations
         return observations.pixels(*frames), observations.confidences_of(*frames)
 
     def _triangulate(
         self,
-        observed: tuple[FloatArray, FloatArray | None],
-        active: BoolArray,
+        pixels_and_confidences: tuple[FloatArray, FloatArray | None],
+        is_active: BoolArray,
         *,
-        detailed: bool,
+        is_detailed: bool,
     ) -> Any:
-        """Return the kernel's triangulation of observations with active cameras."""
+        """Return the kernel's results for pixels and confidences with active cameras.
+
+        Residuals and states of observations are empty unless ``is_detailed``.
+        """
         return _kernels.triangulate_points(
-            *observed,
-            self.camera_arrays,
-            np.ascontiguousarray(active),
+            *pixels_and_confidences,
+            self.kernel_cameras,
+            np.ascontiguousarray(is_active),
             self.noise,
             self.options.gate,
             self._max_condition,
-            detailed=detailed,
+            detailed=is_detailed,
         )
 
-    def _record_stale(self, stale: dict[int, PoseChange]) -> None:
-        """Record frames in which stale cameras do not fit; use them in other frames.
+    def _exclude_stale_cameras(self, pose_changes: dict[int, PoseChange]) -> None:
+        """Exclude stale cameras in the frames where they do not fit, and only there.
 
         The test covers all frames at once first: a camera that moved during the take is
         off in part of them.
         """
         rate = float(self.observations.clock.rate)
-        for camera, change in stale.items():
-            triangulated, rejected = self.tallies.of_triangulated, self.tallies.rejected
-            ranges = find_stale_ranges(triangulated, rejected, camera, rate)
-            was_active = self.active[:, camera].copy()
+        for camera, change in pose_changes.items():
+            counts = self.counts
+            ranges = find_stale_ranges(counts.tested, counts.rejected, camera, rate)
+            was_active = self.is_active[:, camera].copy()
             self.shifts[camera] += self._mark_kept_ranges(
                 camera, [replace(shift, change=change) for shift in ranges]
             )
             if not self.options.keep_moved:
-                self.active[:, camera] = True
+                self.is_active[:, camera] = True
                 for shift in self.shifts[camera]:
-                    self.active[shift.first : shift.end, camera] = shift.kept
-                for first, end in runs(self.active[:, camera] != was_active):
+                    self.is_active[shift.first : shift.end, camera] = shift.kept
+                for first, end in runs(self.is_active[:, camera] != was_active):
                     self._solve_frames(first, end)
 
     def _mark_kept_ranges(
@@ -277,38 +287,42 @@ class _TriangulationRun:
         ]
 
     def _is_better_without(self, camera: int, shift: PoseShift) -> bool:
-        """Return whether excluding a camera reduces the error of the other cameras."""
-        step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
+        """Return whether excluding a camera in a range does not worsen the others."""
+        step = max(1, (shift.end - shift.first) // _POSE_CHANGE_FRAMES)
         frames = slice(shift.first, shift.end, step)
-        observed = self._observations_of(shift.first, shift.end, step)
-        visible = np.isfinite(observed[0]).all(axis=-1)
-        views = visible & self.active[frames][..., None]
-        views[:, camera] = False
-        views &= (views.sum(axis=1) > 1)[:, None]
+        views = self._observations_of(shift.first, shift.end, step)
+        is_visible = np.isfinite(views[0]).all(axis=-1)
+        is_compared = is_visible & self.is_active[frames][..., None]
+        is_compared[:, camera] = False
+        is_compared &= (is_compared.sum(axis=1) > 1)[:, None]
         errors = []
         for is_kept in (True, False):
-            active = self.active[frames].copy()
-            active[:, camera] = is_kept
-            *_, residuals, states = self._triangulate(observed, active, detailed=True)
-            is_used = states[:, camera] == USED
+            is_active = self.is_active[frames].copy()
+            is_active[:, camera] = is_kept
+            *_, residuals, states = self._triangulate(
+                views, is_active, is_detailed=True
+            )
+            is_used = states[:, camera] == USED_STATE
             residuals = residuals.astype(np.float64)
             gate = self.options.gate
-            errors.append(truncated_error(residuals, views, self.noise, gate, is_used))
+            errors.append(
+                truncated_error(residuals, is_compared, self.noise, gate, is_used)
+            )
         return errors[1] <= TIE_COST_RATIO * errors[0]
 
-    def _exclude_shifted(self) -> None:
+    def _exclude_shifted_cameras(self) -> None:
         """Exclude cameras in frame ranges in which they do not fit, the worst first."""
         rate = float(self.observations.clock.rate)
-        is_active = self.active.copy()
+        is_active = self.is_active.copy()
         for camera, shifts in enumerate(self.shifts):
             for shift in shifts:
                 is_active[shift.first : shift.end, camera] = False
-        for _ in range(self.views):
-            triangulated, rejected = self.tallies.of_triangulated, self.tallies.rejected
-            worst = find_shifted_ranges(triangulated, rejected, is_active, rate)
-            if worst is None:
+        for _ in range(self.view_count):
+            tested_counts, rejections = self.counts.tested, self.counts.rejected
+            worst_fit = find_shifted_ranges(tested_counts, rejections, is_active, rate)
+            if worst_fit is None:
                 break
-            camera, ranges = worst
+            camera, ranges = worst_fit
             ranges = self._mark_kept_ranges(camera, ranges)
             self.shifts[camera] += [
                 self._with_pose_change(camera, shift) for shift in ranges
@@ -316,20 +330,20 @@ class _TriangulationRun:
             for shift in ranges:
                 is_active[shift.first : shift.end, camera] = False
                 if not (self.options.keep_moved or shift.kept):
-                    self.active[shift.first : shift.end, camera] = False
+                    self.is_active[shift.first : shift.end, camera] = False
                     self._solve_frames(shift.first, shift.end)
 
     def _find_disagreements(self, camera: int) -> tuple[CameraDisagreement, ...]:
         """Return single frames in which a camera disagrees with the others."""
-        is_active = self.active[:, camera].copy()
+        is_active = self.is_active[:, camera].copy()
         for shift in self.shifts[camera]:
             is_active[shift.first : shift.end] = False
         noise = float(self.noise[camera])
-        return tuple(find_disagreements(self.tallies.values, camera, noise, is_active))
+        return tuple(find_disagreements(self.counts.tallies, camera, noise, is_active))
 
     def _with_pose_change(self, camera: int, shift: PoseShift) -> PoseShift:
-        """Return a range completed with the camera's pose change in it, if one fits."""
-        step = max(1, (shift.end - shift.first) // _CHANGE_FRAMES)
+        """Return the range with `PoseShift.change`: the pose that fits there best."""
+        step = max(1, (shift.end - shift.first) // _POSE_CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
         points = self.positions[shift.first : shift.end : step]
         others = list(self.cameras.cameras)
@@ -337,19 +351,19 @@ class _TriangulationRun:
         return replace(shift, change=change)
 
     def _check_triangulated(self) -> None:
-        """Raise if no point is seen by two cameras in any frame."""
+        """Raise if no point was triangulated in any frame (CAM013 or CAM014)."""
         if np.isfinite(self.positions).any():
             return
-        if not self._view_count:
+        if not self._visible_count:
             message = "no point is seen by two cameras in any frame"
             path = self.observations.path or None
             raise OptionError(Fault("CAM013", message, path))
         self._refuse_cameras(
-            f"no two cameras agree on any of {counted(self._view_count, 'point')}"
+            f"no two cameras agree on any of {counted(self._visible_count, 'point')}"
         )
 
     def _refuse_cameras(self, message: str) -> NoReturn:
-        """Raise because cameras and observations may not belong together."""
+        """Raise CAM014: cameras and observations do not belong together."""
         for notice in self.cameras.notices:
             if notice.code == "CAM114":
                 message = f"{notice.message}; {message}"
@@ -367,16 +381,16 @@ class _TriangulationRun:
         raise OptionError(Fault("CAM014", message, path, (), hint))
 
     @property
-    def _view_count(self) -> int:
+    def _visible_count(self) -> int:
         """Number of points visible to two or more cameras."""
-        return int((self.known[..., 4] > 1).sum())
+        return int((self.statistics[..., 4] > 1).sum())
 
     def _build_result(self) -> Triangulation:
-        """Return the points, reports and notices."""
+        """Return the triangulation, with a report of each camera and all warnings."""
         observations, cameras = self.observations, self.cameras.cameras
         reports = tuple(
             replace(
-                self.tallies.report(
+                self.counts.report(
                     c, cameras[c].name, float(self.noise[c]), tuple(shifts)
                 ),
                 disagrees=self._find_disagreements(c),
@@ -386,29 +400,31 @@ class _TriangulationRun:
         keep_moved = self.options.keep_moved
         notices = self.notices
         path, clock = observations.path, observations.clock
-        errors = [report.error_px for report in reports]
-        delays = delay_warnings(observations, cameras, self.positions, errors)
+        camera_errors = [report.error_px for report in reports]
+        delays = delay_warnings(observations, cameras, self.positions, camera_errors)
         for report, camera in zip(reports, cameras, strict=True):
-            of_camera = camera_notices(report, camera, clock, path, is_kept=keep_moved)
+            camera_faults = camera_notices(
+                report, camera, clock, path, is_kept=keep_moved
+            )
             # A delay explains what looks like another pose.
             notices += [
                 notice
-                for notice in of_camera
-                if report.name not in delays or notice.code not in POSE_CODES
+                for notice in camera_faults
+                if report.name not in delays or notice.code not in DELAY_CODES
             ]
         notices += delays.values()
-        is_visible = self.known[..., 4] > 1
-        notices += lost_frames(self.positions, is_visible, clock, path)
+        is_visible = self.statistics[..., 4] > 1
+        notices += lost_frame_notices(self.positions, is_visible, clock, path)
         notices += gap_notices(
-            observations.names, self.positions, self._view_count, path
+            observations.names, self.positions, self._visible_count, path
         )
         markers = Markers(
             observations.names,
             clock,
             self.positions,
             self.cameras.up,
-            self.known[..., 3].astype(np.int64),
-            self.known[..., 1].copy(),
+            self.statistics[..., 3].astype(np.int64),
+            self.statistics[..., 1].copy(),
             notices=tuple(notices),
         )
         # The markers are as wrong as the cameras.
@@ -420,10 +436,10 @@ class _TriangulationRun:
         ]
         return Triangulation(
             markers,
-            self.known[..., 2].copy(),
+            self.statistics[..., 2].copy(),
             reports,
-            *self.tallies.errors(),
-            self._view_count,
+            *self.counts.reprojection_errors(),
+            self._visible_count,
             int(markers.visible.sum()),
             tuple(notices),
         )

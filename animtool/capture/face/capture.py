@@ -59,7 +59,7 @@ class FaceCapture:
     notices: tuple[Fault, ...] = ()  # warnings
 
     @property
-    def pixels(self) -> bool:
+    def is_in_pixels(self) -> bool:
         """Whether the points are pixels of a camera, not positions."""
         return int(self.points.shape[-1]) == 2
 
@@ -84,8 +84,8 @@ def read_capture(
         up: The up axis; None takes it from the file, else Y.
         fps: The frame rate; None takes it from the file.
     """
-    text, array = split_reference(str(path), "")
-    path = Path(text)
+    path_text, array_name = split_reference(str(path), "")
+    path = Path(path_text)
     if path.suffix.lower() != ".npz":
         reader = find_reader(path).markers_opener(path)
         markers = reader(path, unit=unit, up=up, fps=fps)
@@ -101,14 +101,14 @@ def read_capture(
     open_input(path, None).close()
     try:
         with Archives() as archives:
-            return _read_arrays(archives, path, array, unit, up or UpAxis.Y, fps)
+            return _read_arrays(archives, path, array_name, unit, up or UpAxis.Y, fps)
     except ValueError as error:
         message = str(error).removeprefix(path.name).lstrip("# ")
-        raise _fault_in_file(path, message) from error
+        raise _format_error(path, message) from error
 
 
-def _fault_in_file(path: Path, message: str, hint: str | None = None) -> FormatError:
-    """Return the error of a malformed capture file (FAC003)."""
+def _format_error(path: Path, message: str, hint: str | None = None) -> FormatError:
+    """Return an error about an invalid array of a capture file (FAC003)."""
     return FormatError(Fault("FAC003", message, str(path), (), hint))
 
 
@@ -120,25 +120,29 @@ def _read_arrays(
     up: UpAxis,
     fps: FractionLike | None,
 ) -> FaceCapture:
-    """Return the landmarks of an npz."""
-    keys = archives.names(path)
-    point_keys = [name for name in keys if _POINTS_ARRAY.fullmatch(name)]
+    """Read and check the arrays of an npz that `read_capture` lists."""
+    array_names = archives.names(path)
+    point_arrays = [name for name in array_names if _POINTS_ARRAY.fullmatch(name)]
     if array:
-        point_keys = [array]
-    if not point_keys:
-        hint = f"it holds {listed(keys)}; landmarks_mm (F, N, 3) are positions in mm"
-        raise _fault_in_file(path, "has no array landmarks_mm or landmarks_px", hint)
-    key = point_keys[0]
-    header = archives.header(path, key)
-    width = 2 if key.endswith("_px") else 3
+        point_arrays = [array]
+    if not point_arrays:
+        hint = f"it holds {listed(array_names)}; landmarks_mm (F, N, 3) are positions "
+        hint += "in mm"
+        raise _format_error(path, "has no array landmarks_mm or landmarks_px", hint)
+    array_name = point_arrays[0]
+    header = archives.header(path, array_name)
+    width = 2 if array_name.endswith("_px") else 3
     if len(header.shape) != 3 or header.shape[2] != width or header.kind not in "fiu":
-        message = f"{key} has shape {header.shape}, not (frames, landmarks, {width})"
-        raise _fault_in_file(path, message)
-    frames, count, _ = header.shape
-    if not frames or not count or frames * count > MAX_POSITIONS:
-        raise _fault_in_file(path, f"{key} has {frames} frames of {count} landmarks")
-    scale = 1.0 if width == 2 else _unit_meters(key, unit)
-    points = np.array(archives.load_stored(path, key), np.float64) * scale
+        message = f"{array_name} has shape {header.shape}, not (frames, landmarks, "
+        message += f"{width})"
+        raise _format_error(path, message)
+    frame_count, count, _ = header.shape
+    if not 0 < frame_count * count <= MAX_POSITIONS:
+        raise _format_error(
+            path, f"{array_name} has {frame_count} frames of {count} landmarks"
+        )
+    scale = 1.0 if width == 2 else _unit_meters(array_name, unit)
+    points = np.array(archives.load_stored(path, array_name), np.float64) * scale
     notices = []
     # NaN marks missing values; infinite ones count as missing too.
     is_infinite = np.isinf(points).any(axis=-1)
@@ -147,42 +151,43 @@ def _read_arrays(
         message = f"{int(is_infinite.sum())} landmarks are infinite: treated as missing"
         notices.append(Fault("FAC106", message, str(path), severity=Severity.WARNING))
     names = None
-    if "landmark_names" in keys:
+    if "landmark_names" in array_names:
         names = tuple(archives.texts(path, "landmark_names"))
         if len(names) != count or len(set(names)) < count:
             message = f"landmark_names has {len(set(names))} names for {count} "
             message += "landmarks"
-            raise _fault_in_file(path, message)
-    rate = _capture_rate(archives, path, keys, fps)
-    clock = Clock(rate, Fraction(1), Fraction(1), frames)
-    model = _read_model(archives, path, keys, names, unit)
+            raise _format_error(path, message)
+    rate = _capture_rate(archives, path, array_names, fps)
+    clock = Clock(rate, Fraction(1), Fraction(1), frame_count)
+    model = _read_model(archives, path, array_names, names, unit)
     return FaceCapture(path, names, clock, points, up, model, tuple(notices))
 
 
-def _unit_meters(key: str, unit: LengthUnit | None) -> float:
-    """Return an array's length unit [m], from the suffix of its name or the option."""
+def _unit_meters(array_name: str, unit: LengthUnit | None) -> float:
+    """Return an array's unit [m]: the option, else the suffix of its name, else mm."""
     if unit is not None:
         return unit.meters
     return _UNIT_SUFFIXES.get(
-        key[key.rfind("_") :] if "_" in key else "", LengthUnit.MM.meters
+        array_name[array_name.rfind("_") :] if "_" in array_name else "",
+        LengthUnit.MM.meters,
     )
 
 
 def _capture_rate(
     archives: Archives, path: Path, array_names: Sequence[str], fps: FractionLike | None
 ) -> Fraction:
-    """Return the frame rate, as requested or from the file."""
+    """Return ``fps``, or else the number ``fs`` of the file [Hz]."""
     if fps is not None:
         return rate_option(fps)
     if "fs" not in array_names:
         hint = f"set it with {argument('source.fps')}"
-        raise _fault_in_file(path, "states no rate (fs)", hint)
+        raise _format_error(path, "states no rate (fs)", hint)
     stored_rates = archives.load_stored(path, "fs").ravel()
     try:
         return parse_rate(rate_from_float(float(stored_rates[0])))
     except (IndexError, RateError, ValueError, OverflowError) as error:
         message = f"fs is {stored_rates[:1].tolist()}, which is not a frame rate"
-        raise _fault_in_file(path, message) from error
+        raise _format_error(path, message) from error
 
 
 def _read_model(
@@ -200,15 +205,15 @@ def _read_model(
     if neutral_key is None or deltas_key is None or "shape_names" not in array_names:
         return None
 
-    def meters(key: str) -> FloatArray:
-        """Return an array of the file, converted to metres."""
+    def load_in_meters(key: str) -> FloatArray:
+        """Read an array of lengths, converted to metres by its name or the option."""
         return np.asarray(archives.load(path, key) * _unit_meters(key, unit))
 
-    points = meters(neutral_key)
+    neutral = load_in_meters(neutral_key)
     shapes = tuple(archives.texts(path, "shape_names"))
-    labels = tuple(map(str, range(len(points)))) if names is None else names
+    landmark_names = tuple(map(str, range(len(neutral)))) if names is None else names
     try:
-        return FaceModel(labels, shapes, points, meters(deltas_key))
+        return FaceModel(landmark_names, shapes, neutral, load_in_meters(deltas_key))
     except OptionError as error:
         faults = [
             Fault(f.code, f.message, str(path), hint=f.hint) for f in error.faults
@@ -224,16 +229,16 @@ def order_landmarks(
     Named landmarks match by name, so that some may be missing; unnamed ones match by
     index.
     """
-    path, count = str(capture.path), len(model.names)
+    path, landmark_count = str(capture.path), len(model.names)
     if capture.names is None or capture.names == model.names:
-        if capture.points.shape[1] != count:
+        if capture.points.shape[1] != landmark_count:
             message = f"has {counted(capture.points.shape[1], 'landmark')} without "
-            message += f"names, but the face has {count}"
+            message += f"names, but the face has {landmark_count}"
             hint = "write landmark_names in the npz to tell which are which"
             raise OptionError(Fault("FAC004", message, path, (), hint))
         return capture.points, []
-    columns = {name: i for i, name in enumerate(capture.names)}
-    landmark_columns = [columns.get(name, -1) for name in model.names]
+    column_of_name = {name: i for i, name in enumerate(capture.names)}
+    landmark_columns = [column_of_name.get(name, -1) for name in model.names]
     if max(landmark_columns) < 0:
         message = f"no landmark belongs to the face, such as {capture.names[0]!r}"
         hint = f"{name_hint(capture.names[0], model.names)}"
@@ -242,7 +247,7 @@ def order_landmarks(
     ordered_points[:, np.array(landmark_columns) < 0] = np.nan
     notices = []
     for names, problem in (
-        ([n for n in model.names if n not in columns],
+        ([n for n in model.names if n not in column_of_name],
          "landmarks of the face are not in the capture: "),
         ([n for n in capture.names if n not in set(model.names)],
          "landmarks of the capture are not on the face: "),

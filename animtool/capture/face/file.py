@@ -24,13 +24,13 @@ from animtool.rig.surfaces import Surface, SurfaceInbetween, SurfaceShape, surfa
 from animtool.skin.shapes import prepare_shapes
 
 # Tolerance for the sum of a landmark's weights, since text is rounded.
-SUM_TOLERANCE = 1e-3
+WEIGHT_SUM_TOLERANCE = 1e-3
 
 Vertex = Annotated[int, Ge(0)]
 
 
 class LandmarkModel(FileModel):
-    """A landmark on a mesh: at a vertex, or in between several."""
+    """An entry of ``points``: a landmark at one vertex, or between several."""
 
     name: Name = key("Name of the landmark, unique in the file.", "nose_tip")
     mesh: Name | None = key(
@@ -51,7 +51,7 @@ class LandmarkModel(FileModel):
 
 
 class LandmarksModel(FileModel):
-    """A landmarks file."""
+    """Schema of a landmarks file, ``*.landmarks.yaml``."""
 
     landmarks: Literal["animtool/1"] = key(
         "File type and format version.", "animtool/1"
@@ -79,7 +79,7 @@ class LandmarksModel(FileModel):
 
 @dataclass(frozen=True, slots=True)
 class LandmarksFile:
-    """A parsed landmarks file."""
+    """A landmarks file that was read and checked, but not yet matched to a rig."""
 
     document: Document
     model: LandmarksModel
@@ -92,7 +92,7 @@ class LandmarksFile:
 
 
 def load_landmarks(path: Path | str) -> LandmarksFile:
-    """Return a landmarks file; meshes and vertices are checked by `face_model`.
+    """Read a landmarks file; its meshes and vertices are checked by `face_model`.
 
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
@@ -101,7 +101,7 @@ def load_landmarks(path: Path | str) -> LandmarksFile:
 
 
 def parse_landmarks(document: Document) -> LandmarksFile:
-    """Parse a landmarks document (inconsistent landmarks: FAC008)."""
+    """Check a landmarks document: unique names, and vertices with weights (FAC008)."""
     check_version(document, "landmarks")
     model = validate_document(document, LandmarksModel)
     index_of_name: dict[str, int] = {}
@@ -121,7 +121,7 @@ def parse_landmarks(document: Document) -> LandmarksFile:
             if len(point.weights) != count:
                 message = f"has {len(point.weights)} weights for {count} vertices"
                 document.add("FAC008", (*location, "weights"), message)
-            elif abs(sum(point.weights) - 1) > SUM_TOLERANCE:
+            elif abs(sum(point.weights) - 1) > WEIGHT_SUM_TOLERANCE:
                 message = f"the weights have a sum of {sum(point.weights):g}, not 1"
                 document.add("FAC008", (*location, "weights"), message)
     rig = None
@@ -133,25 +133,28 @@ def parse_landmarks(document: Document) -> LandmarksFile:
 
 
 def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
-    """Return the face model of a rig: landmarks, and their displacement by each shape.
+    """Build a face model: a rig's landmarks at rest, and each shape's offsets there.
 
     Shapes with a weight are solved for; combined shapes depend on them.
     """
     surfaces = {surface.name: surface for surface in surfaces_of(rig)}
-    rows = _landmark_rows(file, surfaces)
+    anchors = _landmark_anchors(file, surfaces)
     neutral = np.stack(
-        [weights @ surfaces[mesh].points[vertices] for mesh, vertices, weights in rows]
+        [
+            weights @ surfaces[mesh].points[vertices]
+            for mesh, vertices, weights in anchors
+        ]
     )
-    shape_deltas: list[SurfaceShape] = []
+    shapes: list[SurfaceShape] = []
     deltas: list[FloatArray] = []
     solved_indices: list[int] = []
     is_nonlinear = False
     for i, shape in enumerate(rig.shapes):
-        displacement = _displacement(shape, surfaces, rows)
+        displacement = _displacement(shape, surfaces, anchors)
         if displacement is None:
             continue
         offsets, inbetweens = displacement
-        shape_deltas.append(SurfaceShape(shape.name, offsets, inbetweens=inbetweens))
+        shapes.append(SurfaceShape(shape.name, offsets, inbetweens=inbetweens))
         is_nonlinear = is_nonlinear or bool(shape.combine or inbetweens)
         if not shape.combine:
             solved_indices.append(i)
@@ -161,7 +164,7 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
         # A combined shape may combine others that move no landmark: keep all.
         nonlinear_shapes = NonlinearShapes(
             tuple(rig.shapes),
-            prepare_shapes(shape_deltas, neutral),
+            prepare_shapes(shapes, neutral),
             tuple(solved_indices),
         )
     return FaceModel(
@@ -173,19 +176,19 @@ def face_model(file: LandmarksFile, rig: Rig) -> FaceModel:
     )
 
 
-_LandmarkRow = tuple[str, IntArray, FloatArray]
+_LandmarkAnchor = tuple[str, IntArray, FloatArray]
 
 
-def _landmark_rows(
+def _landmark_anchors(
     file: LandmarksFile, surfaces: dict[str, Surface]
-) -> list[_LandmarkRow]:
-    """Return mesh, vertices and weights of each landmark."""
+) -> list[_LandmarkAnchor]:
+    """Return mesh, vertices and weights of each landmark; check them (FAC008)."""
     document, model = file.document, file.model
     meshes_with_shapes = [name for name, surface in surfaces.items() if surface.shapes]
     default_mesh = model.mesh or (
         meshes_with_shapes[0] if len(meshes_with_shapes) == 1 else None
     )
-    rows: list[_LandmarkRow] = []
+    anchors: list[_LandmarkAnchor] = []
     if model.mesh and model.mesh not in surfaces:
         message = f"the rig has no mesh {model.mesh!r}"
         document.add("FAC008", ("mesh",), message, name_hint(model.mesh, surfaces))
@@ -204,51 +207,51 @@ def _landmark_rows(
                 document.add("FAC008", (*location, "mesh"), message, hint)
             continue
         vertices = [point.vertex] if point.vertex is not None else point.vertices or []
-        count = len(surfaces[mesh].points)
+        vertex_count = len(surfaces[mesh].points)
         for k, vertex in enumerate(vertices):
-            if vertex >= count:
-                mesh_location = (*location, "vertex") if point.vertex is not None else (
-                    *location, "vertices", k
-                )  # fmt: skip
-                message = f"mesh {mesh!r} has no vertex {vertex}; it has {count}"
-                document.add("FAC008", mesh_location, message)
+            if vertex >= vertex_count:
+                vertex_key = (
+                    ("vertex",) if point.vertex is not None else ("vertices", k)
+                )
+                message = f"mesh {mesh!r} has no vertex {vertex}; it has {vertex_count}"
+                document.add("FAC008", (*location, *vertex_key), message)
         equal_weights = [1.0 / max(len(vertices), 1)] * len(vertices)
-        rows.append(
+        anchors.append(
             (mesh, np.array(vertices), np.array(point.weights or equal_weights))
         )
     document.check()
-    return rows
+    return anchors
 
 
 _Displacement = tuple[FloatArray, tuple[SurfaceInbetween, ...]]
 
 
 def _displacement(
-    shape: Shape, surfaces: dict[str, Surface], rows: list[_LandmarkRow]
+    shape: Shape, surfaces: dict[str, Surface], anchors: list[_LandmarkAnchor]
 ) -> _Displacement | None:
-    """Return a shape's offsets at landmarks, and its in-betweens; None if missing."""
+    """Return a shape's offsets ``(N, 3)`` and in-betweens; None if it moves no mesh."""
     surface = surfaces.get(shape.mesh)
     if surface is None:
         return None
-    matching_shape = next((s for s in surface.shapes if s.name == shape.name), None)
-    if matching_shape is None:
+    surface_shape = next((s for s in surface.shapes if s.name == shape.name), None)
+    if surface_shape is None:
         return None
 
     def at_landmarks(values: FloatArray) -> FloatArray:
-        """Interpolate vertex offsets at the landmarks."""
+        """Interpolate vertex offsets at the landmarks ``(N, 3)``; 0 on other meshes."""
         offsets = np.zeros((len(surface.points), 3))
-        if matching_shape.vertices is None:
+        if surface_shape.vertices is None:
             offsets[:] = values
         else:
-            offsets[matching_shape.vertices] = values
-        rows_of_mesh = [
+            offsets[surface_shape.vertices] = values
+        landmark_offsets = [
             weights @ offsets[vertices] if mesh == shape.mesh else np.zeros(3)
-            for mesh, vertices, weights in rows
+            for mesh, vertices, weights in anchors
         ]
-        return np.stack(rows_of_mesh)
+        return np.stack(landmark_offsets)
 
     inbetweens = tuple(
         SurfaceInbetween(inbetween.at, at_landmarks(inbetween.deltas))
-        for inbetween in matching_shape.inbetweens
+        for inbetween in surface_shape.inbetweens
     )
-    return at_landmarks(matching_shape.deltas), inbetweens
+    return at_landmarks(surface_shape.deltas), inbetweens

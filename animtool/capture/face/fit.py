@@ -35,7 +35,7 @@ class LandmarkScore:
 
 @dataclass(frozen=True, slots=True)
 class ShapePeak:
-    """Largest weight of a shape over the frames, and its frame."""
+    """Largest weight of a shape over all frames."""
 
     name: str  # of the shape
     max: float  # its largest weight
@@ -83,19 +83,19 @@ class FaceFit:
 
     @property
     def landmarks(self) -> list[LandmarkScore]:
-        """Residuals and weights of each landmark."""
-        visible = np.isfinite(self.residuals)
-        is_inlier = visible & (self.shares >= MISPLACED_FRACTION)
+        """Root mean square residual and outlier count of each landmark."""
+        is_visible = np.isfinite(self.residuals)
+        is_inlier = is_visible & (self.shares >= MISPLACED_FRACTION)
         squares = np.where(is_inlier, self.residuals, 0.0) ** 2
         rms = np.sqrt(squares.sum(axis=0) / np.maximum(is_inlier.sum(axis=0), 1))
-        counts = visible.sum(axis=0), (visible & ~is_inlier).sum(axis=0)
-        columns = (rms.tolist(), *(count_column.tolist() for count_column in counts))
+        counts = is_visible.sum(axis=0), (is_visible & ~is_inlier).sum(axis=0)
+        columns = (rms.tolist(), *(column.tolist() for column in counts))
         return [
             LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
         ]
 
     @property
     def peaks(self) -> list[ShapePeak]:
-        """The largest weight of each shape."""
-        largest = self.weights.max(axis=0, initial=0.0).tolist()
-        return [ShapePeak(*row) for row in zip(self.model.shapes, largest, strict=True)]
+        """Largest weight of each shape over all frames; 0 if it is never positive."""
+        maxima = self.weights.max(axis=0, initial=0.0).tolist()
+        return [ShapePeak(*row) for row in zip(self.model.shapes, maxima, strict=True)]

@@ -25,7 +25,7 @@ MIN_SAME_SHAPE_COSINE = 1 - 1e-9
 
 @dataclass(frozen=True, slots=True)
 class FaceModel:
-    """Landmarks of a face at rest, and the displacement by each blend shape.
+    """Landmarks of a face at rest, and how each blend shape displaces them.
 
     Attributes:
         names: Names of the landmarks; ``0``, ``1``, … where they have none.
@@ -46,10 +46,13 @@ class FaceModel:
     nonlinear_shapes: NonlinearShapes | None = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
-        """Check shapes and numbers."""
-        count, shapes = len(self.names), len(self.shapes)
+        """Check array shapes, finite numbers and unique names (FAC003)."""
+        landmark_count, shape_count = len(self.names), len(self.shapes)
         faults = []
-        for name, shape in (("neutral", (count, 3)), ("deltas", (shapes, count, 3))):
+        for name, shape in (
+            ("neutral", (landmark_count, 3)),
+            ("deltas", (shape_count, landmark_count, 3)),
+        ):
             values: FloatArray = getattr(self, name)
             if values.shape != shape:
                 message = f"{name} must have shape {shape}, not {values.shape}"
@@ -70,14 +73,17 @@ class FaceModel:
         return rms_spread(self.neutral)
 
     def nonlinear_offsets(self, weights: FloatArray) -> FloatArray:
-        """Return the displacement minus the linear sum of deltas ``(F, N, 3)`` [m]."""
+        """Return offsets by in-betweens and correctives alone ``(F, N, 3)`` [m].
+
+        They are the total displacement minus the linear sum of deltas.
+        """
         if self.nonlinear_shapes is None:
             return np.zeros((len(weights), *self.neutral.shape))
         nonlinear_points = self.nonlinear_shapes.points(weights)
         return nonlinear_points - self.neutral - np.tensordot(weights, self.deltas, 1)
 
     def points(self, weights: FloatArray) -> FloatArray:
-        """Return landmark positions for shape weights, in the face's frame [m]."""
+        """Return landmarks ``(F, N, 3)`` [m] in head space for weights ``(F, S)``."""
         if self.nonlinear_shapes is not None:
             return self.nonlinear_shapes.points(weights)
         return self.neutral + np.tensordot(weights, self.deltas, 1)
@@ -90,7 +96,7 @@ class FaceModel:
         )
 
     def select(self, shapes: BoolArray) -> FaceModel:
-        """Return the model restricted to given shapes; the others have weight 0."""
+        """Return the model with only the shapes in a mask ``(S,)``."""
         names = tuple(compress(self.shapes, shapes))
         nonlinear = self.nonlinear_shapes
         if nonlinear is not None:
@@ -100,17 +106,19 @@ class FaceModel:
         )
 
     def similar_shapes(self) -> list[tuple[int, int]]:
-        """Return pairs of shapes that displace landmarks in the same directions."""
-        indices = np.flatnonzero(self.shapes_with_motion())
-        flat_deltas = self.deltas[indices].reshape(len(indices), -1)
-        flat_deltas = flat_deltas / np.linalg.norm(flat_deltas, axis=1, keepdims=True)
+        """Return index pairs of shapes that move landmarks in the same directions."""
+        moving_shapes = np.flatnonzero(self.shapes_with_motion())
+        directions = self.deltas[moving_shapes].reshape(len(moving_shapes), -1)
+        directions = directions / np.linalg.norm(directions, axis=1, keepdims=True)
         pairs = np.argwhere(
-            np.triu(flat_deltas @ flat_deltas.T > MIN_SAME_SHAPE_COSINE, 1)
+            np.triu(directions @ directions.T > MIN_SAME_SHAPE_COSINE, 1)
         )
-        return [(int(indices[a]), int(indices[b])) for a, b in pairs.tolist()]
+        return [
+            (int(moving_shapes[a]), int(moving_shapes[b])) for a, b in pairs.tolist()
+        ]
 
     def notices(self) -> list[Fault]:
-        """Return warnings about shapes that landmarks cannot detect or distinguish."""
+        """Return warnings about shapes that landmarks do not show or tell apart."""
         notices = []
         has_motion = self.shapes_with_motion()
         static_names = list(compress(self.shapes, ~has_motion))
@@ -135,11 +143,13 @@ class FaceModel:
         The captured landmarks ``(N, 3)`` [m] are NaN where not visible and keep their
         model position there. Deltas scale with the sizes of the two faces.
         """
-        visible = np.isfinite(captured).all(axis=1)
-        scale = rms_spread(captured[visible]) / rms_spread(self.neutral[visible])
-        rotation, shift = rigid_motion(self.neutral[visible] * scale, captured[visible])
+        is_visible = np.isfinite(captured).all(axis=1)
+        scale = rms_spread(captured[is_visible]) / rms_spread(self.neutral[is_visible])
+        rotation, shift = rigid_motion(
+            self.neutral[is_visible] * scale, captured[is_visible]
+        )
         neutral = self.neutral * scale
-        neutral[visible] = rotate(conjugate(rotation), captured[visible] - shift)
+        neutral[is_visible] = rotate(conjugate(rotation), captured[is_visible] - shift)
         return replace(
             self, neutral=neutral, deltas=self.deltas * scale, nonlinear_shapes=None
         )
@@ -147,27 +157,27 @@ class FaceModel:
 
 @dataclass(frozen=True, slots=True)
 class NonlinearShapes:
-    """Shapes of a mesh at landmarks, with in-betweens and correctives."""
+    """All blend shapes evaluated at landmarks, with in-betweens and correctives."""
 
     shapes: tuple[Shape, ...]  # of the rig: those that move landmarks or are combined
     prepared_shapes: PreparedShapes  # the shapes that have deltas
     solved_indices: tuple[int, ...]  # index of each solved shape in ``shapes``
 
     def points(self, weights: FloatArray) -> FloatArray:
-        """Return the landmarks at weights of the solved shapes ``(F, S)``."""
-        by_name = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
+        """Return landmarks ``(F, N, 3)`` [m] for solved shapes' weights ``(F, S)``."""
+        weights_by_name = {shape.name: np.zeros(len(weights)) for shape in self.shapes}
         for i, column in zip(self.solved_indices, weights.T, strict=True):
-            by_name[self.shapes[i].name] = column
-        all_weights = add_combinations(self.shapes, by_name)
+            weights_by_name[self.shapes[i].name] = column
+        all_weights = add_combinations(self.shapes, weights_by_name)
         return blend_points(
             self.prepared_shapes,
             np.stack([all_weights[n] for n in self.prepared_shapes.names], axis=-1),
         )
 
-    def select(self, shapes: BoolArray) -> NonlinearShapes:
-        """Return the shapes with only the selected ones solved."""
+    def select(self, is_kept: BoolArray) -> NonlinearShapes:
+        """Return a copy in which only shapes in a mask ``(S,)`` are solved for."""
         return replace(
-            self, solved_indices=tuple(compress(self.solved_indices, shapes))
+            self, solved_indices=tuple(compress(self.solved_indices, is_kept))
         )
 
 

@@ -12,29 +12,29 @@ ROBUST_ROUNDS = 4
 PERSPECTIVE_ROUNDS = 30
 
 
-def estimate_head_poses(neutral: FloatArray, observed: FloatArray) -> FloatArray:
+def estimate_head_poses(neutral: FloatArray, landmarks: FloatArray) -> FloatArray:
     """Return a head pose per frame, quaternion (x, y, z, w) and translation ``(F, 7)``.
 
     Landmarks ``(F, N, 3)`` are NaN where missing. Those that move most have the least
     weight; frames with fewer than three repeat the last known pose.
     """
-    visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    points = np.where(visible[..., None], observed, 0.0)
-    robust_weights: FloatArray = visible.astype(np.float64)
-    poses = np.zeros((len(observed), 7))
+    is_visible: BoolArray = np.asarray(np.isfinite(landmarks).all(axis=-1))
+    points = np.where(is_visible[..., None], landmarks, 0.0)
+    robust_weights: FloatArray = is_visible.astype(np.float64)
+    poses = np.zeros((len(landmarks), 7))
     poses[:, 3] = 1.0
     for _ in range(ROBUST_ROUNDS):
         poses = _kabsch_poses(neutral, points, robust_weights)
         posed_points = rotate(poses[:, None, :4], neutral[None]) + poses[:, None, 4:]
         distances = np.linalg.norm(points - posed_points, axis=-1)
-        distances = np.where(visible, distances, np.nan)
-        max_distances = np.full(len(distances), np.inf)
-        has_landmarks: BoolArray = np.asarray(visible.any(axis=1))
+        distances = np.where(is_visible, distances, np.nan)
+        median_distances = np.full(len(distances), np.inf)
+        has_landmarks: BoolArray = np.asarray(is_visible.any(axis=1))
         medians = np.nanmedian(distances[has_landmarks], axis=1)
-        max_distances[has_landmarks] = np.maximum(medians, 1e-9)
-        robust_weights = 1.0 / (1.0 + (distances / max_distances[:, None]) ** 2)
-        robust_weights = np.where(visible, robust_weights, 0.0)
-    return last_good_poses(poses, visible.sum(axis=1) >= 3)
+        median_distances[has_landmarks] = np.maximum(medians, 1e-9)
+        robust_weights = 1.0 / (1.0 + (distances / median_distances[:, None]) ** 2)
+        robust_weights = np.where(is_visible, robust_weights, 0.0)
+    return last_good_poses(poses, is_visible.sum(axis=1) >= 3)
 
 
 def _kabsch_poses(
@@ -56,7 +56,7 @@ def _kabsch_poses(
 
 
 def last_good_poses(poses: FloatArray, is_good: BoolArray) -> FloatArray:
-    """Replace each bad pose by the last good pose before it, else the first good."""
+    """Replace bad poses ``(F, 7)`` by the last good one before, else the first."""
     if not is_good.any():
         return poses
     last_good = np.maximum.accumulate(np.where(is_good, np.arange(len(is_good)), -1))
@@ -76,10 +76,11 @@ def estimate_camera_pose(
     After D. F. DeMenthon and L. S. Davis, Model-based object pose in 25 lines of code,
     1995.
     """
-    visible: BoolArray = np.asarray(np.isfinite(pixels).all(axis=1))
-    if visible.sum() < 4:
+    is_visible: BoolArray = np.asarray(np.isfinite(pixels).all(axis=1))
+    if is_visible.sum() < 4:
         return None
-    points, image_points = neutral[visible], (pixels[visible] - camera[2:]) / camera[:2]
+    points = neutral[is_visible]
+    image_points = (pixels[is_visible] - camera[2:]) / camera[:2]
     centre = points.mean(axis=0)
     inverse = np.linalg.pinv(np.c_[points - centre, np.ones(len(points))])
     depth = np.ones(len(points))
@@ -102,15 +103,18 @@ def estimate_camera_pose(
 def interpolate_poses(
     poses: FloatArray, is_usable: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return rotations and translations, interpolated over frames without landmarks."""
+    """Split poses ``(F, 7)`` into rotations and translations, interpolated over gaps.
+
+    Rotations ``(F, 4)`` have continuous signs; at both ends, the nearest pose holds.
+    """
     rotations, shifts = align_signs(poses[:, :4]), poses[:, 4:].copy()
     if is_usable.all():
         return rotations, shifts
     good_frames, frames = np.flatnonzero(is_usable), np.arange(len(is_usable))
     rotations[good_frames] = align_signs(rotations[good_frames])
-    next_good = np.minimum(np.searchsorted(good_frames, frames), len(good_frames) - 1)
-    previous_good = np.maximum(np.searchsorted(good_frames, frames, "right") - 1, 0)
-    previous_frame, next_frame = good_frames[previous_good], good_frames[next_good]
+    next_index = np.minimum(np.searchsorted(good_frames, frames), len(good_frames) - 1)
+    previous_index = np.maximum(np.searchsorted(good_frames, frames, "right") - 1, 0)
+    previous_frame, next_frame = (good_frames[previous_index], good_frames[next_index])
     gap_length = np.maximum(next_frame - previous_frame, 1)
     fraction = np.clip((frames - previous_frame) / gap_length, 0.0, 1.0)
     is_gap = ~is_usable

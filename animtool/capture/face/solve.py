@@ -43,14 +43,14 @@ from animtool.maths import so3
 
 # Frames of a window, and its overlap on both sides: a change propagates over a few
 # frames only.
-WINDOW, OVERLAP = 256, 32
+WINDOW_FRAMES, OVERLAP_FRAMES = 256, 32
 # Minimum landmarks in a frame for a pose and a weight.
 MIN_LANDMARKS = 4
 # Frames for the noise estimate.
 NOISE_FRAMES = 200
 # Median length of noise vectors of standard deviation 1 in three directions, and in
 # two.
-MEDIAN_3D, MEDIAN_2D = 1.538, 1.1774
+MEDIAN_LENGTH_3D, MEDIAN_LENGTH_2D = 1.538, 1.1774
 # Residuals longer than this many standard deviations are downweighted: 3 % of good
 # ones.
 ROBUST_DEVIATIONS = 3.0
@@ -70,8 +70,8 @@ NONLINEAR_CONVERGED_CHANGE = 1e-4
 # the distance of their neutral positions [1].
 EXCHANGE_DISTANCE = 0.25
 # Largest size ratio between capture and face: beyond, their units differ.
-MAX_SCALE = 3.0
-MAX_LISTED = 12
+MAX_SIZE_RATIO = 3.0
+MAX_LISTED_FRAMES = 12
 # Weights, poses, residuals and robust weights over frames, rounds, and largest change.
 _FitResult: TypeAlias = tuple[
     FloatArray, FloatArray, FloatArray, FloatArray, int, float
@@ -110,9 +110,9 @@ def fit_face(
     >>> fit_face(model, seen, 60.0).weights.round(4).tolist()
     [[0.5], [0.5]]
     """
-    _check(model, observed, camera)
-    visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    is_usable = visible.sum(axis=1) >= MIN_LANDMARKS
+    _check_landmarks(model, observed, camera)
+    is_visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    is_usable = is_visible.sum(axis=1) >= MIN_LANDMARKS
     if not is_usable.any():
         refuse("FAC005", f"no frame has {MIN_LANDMARKS} landmarks or more")
     is_moving = model.shapes_with_motion()
@@ -122,29 +122,31 @@ def fit_face(
         raise OptionError(Fault("FAC007", message, hint=hint))
     # Shapes with similar displacements are solved as one, and split evenly. Shapes with
     # in-betweens or correctives are solved separately.
-    solved_shapes, representative_of_shape = _solved_shapes(model, is_moving)
-    face = model.select(solved_shapes)
+    is_solved, representative_of_shape = _merge_shapes(model, is_moving)
+    face = model.select(is_solved)
     representatives = representative_of_shape[is_moving]
-    counts = np.bincount(representatives, minlength=len(model.shapes))[solved_shapes]
-    face = replace(face, deltas=face.deltas * counts[:, None, None])
+    merged_counts = np.bincount(representatives, minlength=len(model.shapes))[is_solved]
+    face = replace(face, deltas=face.deltas * merged_counts[:, None, None])
     usable_landmarks = np.where(is_usable[:, None, None], observed, np.nan)
-    solver = _Fit(face, usable_landmarks, fps, smooth, camera)
+    solver = _FaceSolver(face, usable_landmarks, fps, smooth, camera)
     weights, poses, residuals, robust_weights, rounds, change = solver.solve(progress)
     all_weights = np.zeros((len(observed), len(model.shapes)))
-    columns = np.cumsum(solved_shapes) - 1
+    columns = np.cumsum(is_solved) - 1
     all_weights[:, is_moving] = weights[:, columns[representative_of_shape[is_moving]]]
     rotations, translations = interpolate_poses(poses, is_usable)
     misplaced_counts = (robust_weights < MISPLACED_FRACTION).sum(axis=1)
     matching_counts = (robust_weights >= MISPLACED_FRACTION).sum(axis=1)
     is_poor = is_usable & (misplaced_counts > 0.5 * len(model.names))
-    is_poor &= matching_counts < 0.5 * visible.sum(axis=1)
+    is_poor &= matching_counts < 0.5 * is_visible.sum(axis=1)
     status = np.where(is_poor, FrameStatus.POOR, FrameStatus.SOLVED)
     status = np.where(is_usable, status, "gap")
-    local_points = None
+    head_points = None
     if camera is None:
         offsets = observed - translations[:, None]
-        local_points = so3.rotate(so3.conjugate(rotations)[:, None], offsets)
-    notices = _notices(model, visible, is_usable, is_poor, robust_weights, local_points)
+        head_points = so3.rotate(so3.conjugate(rotations)[:, None], offsets)
+    notices = _notices(
+        model, is_visible, is_usable, is_poor, robust_weights, head_points
+    )
     return FaceFit(
         model,
         all_weights,
@@ -160,9 +162,12 @@ def fit_face(
     )
 
 
-def _solved_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntArray]:
-    """Return a mask of solved shapes, and each shape's solved representative."""
-    is_solved, representative_of_shape = moving.copy(), np.arange(len(moving))
+def _merge_shapes(model: FaceModel, is_moving: BoolArray) -> tuple[BoolArray, IntArray]:
+    """Merge shapes with equal deltas, so that one of each group is solved.
+
+    Return a mask of those ``(S,)``, and the index of each shape's ``(S,)``.
+    """
+    is_solved, representative_of_shape = is_moving.copy(), np.arange(len(is_moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
         distance = np.linalg.norm(model.deltas[a] - model.deltas[b])
         max_distance = MIN_LANDMARK_MOTION * np.linalg.norm(model.deltas[a])
@@ -171,7 +176,9 @@ def _solved_shapes(model: FaceModel, moving: BoolArray) -> tuple[BoolArray, IntA
     return is_solved, representative_of_shape
 
 
-def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) -> None:
+def _check_landmarks(
+    model: FaceModel, observed: FloatArray, camera: FloatArray | None
+) -> None:
     """Raise if landmarks do not match the face model in number, size or unit."""
     width = 3 if camera is None else 2
     shape = (len(model.names), width)
@@ -185,24 +192,24 @@ def _check(model: FaceModel, observed: FloatArray, camera: FloatArray | None) ->
         raise OptionError(Fault("FAC004", message, hint=hint))
     if camera is not None or rms_spread(model.neutral) == 0:
         return
-    visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
-    sampled_frames = np.flatnonzero(visible.sum(axis=1) >= MIN_LANDMARKS)
-    sampled_frames = sampled_frames[:: max(1, len(visible) // 50)]
+    is_visible: BoolArray = np.asarray(np.isfinite(observed).all(axis=-1))
+    sampled_frames = np.flatnonzero(is_visible.sum(axis=1) >= MIN_LANDMARKS)
+    sampled_frames = sampled_frames[:: max(1, len(is_visible) // 50)]
     ratios = [
-        rms_spread(observed[f, visible[f]])
-        / max(rms_spread(model.neutral[visible[f]]), 1e-300)
+        rms_spread(observed[f, is_visible[f]])
+        / max(rms_spread(model.neutral[is_visible[f]]), 1e-300)
         for f in sampled_frames.tolist()
     ]
     ratio = float(np.median(ratios)) if ratios else 1.0
-    if not 1 / MAX_SCALE <= ratio <= MAX_SCALE:
+    if not 1 / MAX_SIZE_RATIO <= ratio <= MAX_SIZE_RATIO:
         message = f"the captured face is {plain_number(ratio)} times the size of the "
         message += "rig's"
         hint = f"set the unit of the landmarks with {argument('source.unit')}"
         raise OptionError(Fault("FAC006", message, hint=hint))
 
 
-class _Fit:
-    """State of a fit: measures the landmark noise, then solves all windows."""
+class _FaceSolver:
+    """Fits a face's weights and poses: measures the noise, then solves all windows."""
 
     def __init__(
         self,
@@ -245,11 +252,14 @@ class _Fit:
         frames: slice | FloatArray,
         threshold: float,
         smooth: float,
-        rounds: int,
+        max_rounds: int,
         neutral: FloatArray | None = None,
         start: tuple[FloatArray, FloatArray] | None = None,
     ) -> _FitResult:
-        """Run the kernel on frames with a robust threshold and smoothness."""
+        """Fit some frames with the kernel, from given weights and poses or from rest.
+
+        Residuals above ``threshold`` [m] or [px] are downweighted.
+        """
         observed = self.observed[frames]
         shape = (len(observed), len(self.face.shapes))
         weights, poses = start or (np.zeros(shape), self.start_poses[frames])
@@ -265,56 +275,55 @@ class _Fit:
             smooth,
             self.rest_penalty,
             CONVERGED_CHANGE,
-            rounds,
+            max_rounds,
             start is not None,
         )
 
     def _measure_noise(self) -> float:
-        """Estimate the standard deviation of landmarks from independent frames."""
-        usable_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
-        rows = np.linspace(0, len(usable_frames) - 1, NOISE_FRAMES).astype(int)
-        sampled_frames = np.unique(usable_frames[rows])
+        """Estimate landmark noise in one direction, [m] or [px], from single frames."""
+        visible_frames = np.flatnonzero(np.isfinite(self.observed[..., 0]).any(axis=1))
+        rows = np.linspace(0, len(visible_frames) - 1, NOISE_FRAMES).astype(int)
+        frames = np.unique(visible_frames[rows])
         min_noise = MIN_NOISE * self.face.size * self.pixels_per_unit
         self.rest_penalty = (min_noise * 10 / TYPICAL_WEIGHT) ** 2
         threshold = 0.1 * self.face.size * self.pixels_per_unit
         noise = min_noise
         for _ in range(3):
-            weights, _, residuals, *_ = self._run_kernel(
-                sampled_frames, threshold, 0.0, 6
-            )
-            visible = np.isfinite(residuals)
+            weights, _, residuals, *_ = self._run_kernel(frames, threshold, 0.0, 6)
+            is_visible = np.isfinite(residuals)
             width = self.observed.shape[-1]
-            residual_count = width * visible.sum()
+            residual_count = width * is_visible.sum()
             # Each pose, and each weight inside its bounds, takes one residual.
-            parameters = 6 * len(sampled_frames) + ((weights > 0) & (weights < 1)).sum()
-            residual_fraction = max(1.0 - parameters / max(residual_count, 1), 0.05)
-            median = MEDIAN_3D if width == 3 else MEDIAN_2D
-            typical_residual = float(np.median(residuals[visible])) / median
-            noise = max(typical_residual / np.sqrt(residual_fraction), min_noise)
+            parameter_count = 6 * len(frames) + ((weights > 0) & (weights < 1)).sum()
+            free_fraction = max(1.0 - parameter_count / max(residual_count, 1), 0.05)
+            unit_median = MEDIAN_LENGTH_3D if width == 3 else MEDIAN_LENGTH_2D
+            typical_residual = float(np.median(residuals[is_visible])) / unit_median
+            noise = max(typical_residual / np.sqrt(free_fraction), min_noise)
             threshold = ROBUST_DEVIATIONS * noise
         return noise
 
     def solve(self, progress: Callable[[float], None] | None) -> _FitResult:
-        """Return the kernel's result of all windows."""
-        count, landmarks = self.observed.shape[:2]
-        widths = (len(self.face.shapes), 7, landmarks, landmarks)
-        outputs = [np.zeros((count, width)) for width in widths]
+        """Solve the take in overlapping windows, and join their middle frames."""
+        frame_count, landmark_count = self.observed.shape[:2]
+        widths = (len(self.face.shapes), 7, landmark_count, landmark_count)
+        outputs = [np.zeros((frame_count, width)) for width in widths]
         rounds, change = 0, 0.0
-        for first in range(0, count, WINDOW):
-            begin, end = max(0, first - OVERLAP), min(count, first + WINDOW + OVERLAP)
-            window = self._solve_window(slice(begin, end))
-            output_frames = slice(first, min(count, first + WINDOW))
+        for first in range(0, frame_count, WINDOW_FRAMES):
+            begin = max(0, first - OVERLAP_FRAMES)
+            end = min(frame_count, first + WINDOW_FRAMES + OVERLAP_FRAMES)
+            result = self._solve_window(slice(begin, end))
+            output_frames = slice(first, min(frame_count, first + WINDOW_FRAMES))
             window_rows = slice(first - begin, output_frames.stop - begin)
-            for output, values in zip(outputs, window[:4], strict=True):
+            for output, values in zip(outputs, result[:4], strict=True):
                 output[output_frames] = values[window_rows]
-            rounds, change = max(rounds, window[4]), max(change, window[5])
+            rounds, change = max(rounds, result[4]), max(change, result[5])
             if progress is not None:
-                progress(output_frames.stop / count)
+                progress(output_frames.stop / frame_count)
         weights, poses, residuals, robust_weights = outputs
         return weights, poses, residuals, robust_weights, rounds, change
 
     def _solve_window(self, frames: slice) -> _FitResult:
-        """Return the kernel's result of one window; nonlinear shapes are iterated."""
+        """Solve one window; iterate if in-betweens or correctives are not linear."""
         threshold = ROBUST_DEVIATIONS * self.noise
         result = self._run_kernel(frames, threshold, self.smooth, MAX_ROUNDS)
         if self.face.nonlinear_shapes is None:
@@ -332,27 +341,27 @@ class _Fit:
 
 def _notices(
     model: FaceModel,
-    visible: BoolArray,
+    is_visible: BoolArray,
     is_usable: BoolArray,
     is_poor: BoolArray,
     robust_weights: FloatArray,
-    local_points: FloatArray | None,
+    head_points: FloatArray | None,
 ) -> list[Fault]:
-    """Return warnings about frames and landmarks that do not fit.
+    """Return warnings about gaps, poor frames and misplaced landmarks (FAC103-105).
 
-    ``local_points`` ``(F, N, 3)``: The observed landmarks in the frame of the head.
+    ``head_points`` ``(F, N, 3)``: The observed landmarks in the frame of the head.
     """
     notices = []
-    for frames, code, problem in (
+    for is_affected, code, problem in (
         (~is_usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
         (is_poor, "FAC104", "landmarks that are mostly outliers"),
     ):
-        numbers = np.flatnonzero(frames).tolist()
-        if numbers:
-            message = f"{counted(len(numbers), 'frame')} with {problem}; from the "
-            message += f"first, frames {listed(numbers, MAX_LISTED)}"
+        frames = np.flatnonzero(is_affected).tolist()
+        if frames:
+            message = f"{counted(len(frames), 'frame')} with {problem}; from the "
+            message += f"first, frames {listed(frames, MAX_LISTED_FRAMES)}"
             notices.append(Fault(code, message, severity=Severity.WARNING))
-    is_used = visible & is_usable[:, None]
+    is_used = is_visible & is_usable[:, None]
     visible_counts = is_used.sum(axis=0)
     misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)
     is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(visible_counts, 1)
@@ -369,27 +378,28 @@ def _notices(
             message = f"{counted(len(names), 'landmark')} {verb} {problem}: "
             fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
             notices.append(fault)
-    if local_points is not None and is_misplaced.any():
-        hint = _exchange_hint(model, local_points[is_usable], is_misplaced)
+    if head_points is not None and is_misplaced.any():
+        hint = _exchange_hint(model, head_points[is_usable], is_misplaced)
         notices[-1] = replace(notices[-1], hint=hint)
     return notices
 
 
 def _exchange_hint(
-    model: FaceModel, local_points: FloatArray, is_misplaced: BoolArray
+    model: FaceModel, head_points: FloatArray, is_misplaced: BoolArray
 ) -> str | None:
-    """Return a hint if pairs of misplaced landmarks are each where the other belongs.
+    """Return a hint to exchange misplaced landmarks that are at each other's position.
 
-    ``local_points`` ``(F, N, 3)`` are the observed landmarks in the frame of the head.
+    ``head_points`` ``(F, N, 3)`` are the observed landmarks in the frame of the head.
     """
-    landmarks = np.flatnonzero(is_misplaced)
-    neutral = model.neutral[landmarks]
-    observed = np.nanmedian(local_points[:, landmarks], axis=0)
-    distances = np.linalg.norm(observed[:, None] - neutral[None], axis=-1)
+    misplaced_landmarks = np.flatnonzero(is_misplaced)
+    neutral = model.neutral[misplaced_landmarks]
+    median_points = np.nanmedian(head_points[:, misplaced_landmarks], axis=0)
+    distances = np.linalg.norm(median_points[:, None] - neutral[None], axis=-1)
     nearest = distances.argmin(axis=1)
     spacing = np.linalg.norm(neutral[:, None] - neutral[None], axis=-1)
+    names = [model.names[n] for n in misplaced_landmarks]
     pairs = [
-        f"{model.names[landmarks[i]]!r} and {model.names[landmarks[j]]!r}"
+        f"{names[i]!r} and {names[j]!r}"
         for i, j in enumerate(nearest.tolist())
         if i < j
         and nearest[j] == i

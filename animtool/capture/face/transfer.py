@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class TransferredWeights:
-    """Weights transferred to another face, with the shape links and the fit."""
+    """Weights transferred to another face, and how their shapes were matched."""
 
     weights: FloatArray  # weights of the target's shapes ``(F, S)``
     links: ShapeLinks  # source shapes of each target shape, by name
@@ -76,9 +76,9 @@ def transfer_weights(
 
 
 def _transfer_by_name(
-    weights: FloatArray, links: ShapeLinks, source: Sequence[str], count: int
+    weights: FloatArray, links: ShapeLinks, source: Sequence[str], target_count: int
 ) -> TransferredWeights:
-    """Return the weights of linked shapes, for ``count`` target shapes."""
+    """Copy weights along name links; warn of moving shapes without a link (FAC108)."""
     if not links.links:
         message = "no shape of the source has its name in the target"
         hint = "pair them in a remap file"
@@ -91,7 +91,7 @@ def _transfer_by_name(
         message = f"{len(unlinked_names)} shapes that move are not in the target: "
         warning = Severity.WARNING
         notices.append(names_fault("FAC108", message, unlinked_names, severity=warning))
-    linked_weights = links.apply(weights, count)
+    linked_weights = links.apply(weights, target_count)
     return TransferredWeights(linked_weights, links, None, tuple(notices))
 
 
@@ -119,11 +119,13 @@ def _target_landmarks(
         ],
         axis=-1,
     )
-    indices = [source_face.names.index(name) for name in shared_names]
+    source_indices = [source_face.names.index(name) for name in shared_names]
     displacements = source_face.points(source_weights) - source_face.neutral
-    shared_columns = [target_face.names.index(name) for name in shared_names]
-    neutral = target_face.neutral[shared_columns]
-    scale = rms_spread(neutral) / max(rms_spread(source_face.neutral[indices]), 1e-300)
+    target_indices = [target_face.names.index(name) for name in shared_names]
+    neutral = target_face.neutral[target_indices]
+    scale = rms_spread(neutral) / max(
+        rms_spread(source_face.neutral[source_indices]), 1e-300
+    )
     points = np.full((len(weights), len(target_face.names), 3), np.nan)
-    points[:, shared_columns] = neutral + scale * displacements[:, indices]
+    points[:, target_indices] = neutral + scale * displacements[:, source_indices]
     return points

@@ -57,11 +57,11 @@ def rest_evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> Flo
 
 # Minimum evidence for joining two runs, and its margin over any other run that is
 # visible at the same time as one of them [nat].
-MIN_EVIDENCE, MIN_MARGIN = 3.0, 1.5
+MIN_CHAIN_EVIDENCE, MIN_CHAIN_MARGIN = 3.0, 1.5
 
 
 def chain_runs(distances: MarkerDistances, overlap: FloatArray) -> IntArray:
-    """Return the chain of each run ``(R,)``, numbered from 0.
+    """Join runs that are the same marker; return each run's chain ``(R,)``, from 0.
 
     Two runs are joined if they keep the same distances to everything visible with both,
     and no concurrent run matches either nearly as well. Runs visible together are never
@@ -70,15 +70,15 @@ def chain_runs(distances: MarkerDistances, overlap: FloatArray) -> IntArray:
     distances: Distances of the runs. overlap: Frames in which pairs are visible ``(R,
     R)``.
     """
-    count = len(overlap)
-    chain_of_run = np.arange(count)
+    run_count = len(overlap)
+    chain_of_run = np.arange(run_count)
     likelihood = chain_likelihoods(distances, overlap)
-    is_together = overlap > 0
-    likelihood[is_together] = -np.inf
-    is_concurrent = is_together & ~np.eye(count, dtype=bool)
+    is_shared = overlap > 0
+    likelihood[is_shared] = -np.inf
+    is_concurrent = is_shared & ~np.eye(run_count, dtype=bool)
     # Two runs of one marker are each other's best among those visible at the same time
     # as the other.
-    candidate_pairs = np.argwhere(likelihood > MIN_EVIDENCE)
+    candidate_pairs = np.argwhere(likelihood > MIN_CHAIN_EVIDENCE)
     candidate_pairs = candidate_pairs[candidate_pairs[:, 0] < candidate_pairs[:, 1]]
     scored_pairs = []
     for a, b in candidate_pairs.tolist():
@@ -89,15 +89,15 @@ def chain_runs(distances: MarkerDistances, overlap: FloatArray) -> IntArray:
         rival_likelihood = max(
             rival_likelihoods_a.max(initial=0.0), rival_likelihoods_b.max(initial=0.0)
         )
-        if pair_likelihood > rival_likelihood + MIN_MARGIN:
+        if pair_likelihood > rival_likelihood + MIN_CHAIN_MARGIN:
             scored_pairs.append((pair_likelihood - rival_likelihood, a, b))
     scored_pairs.sort(reverse=True)
-    members = {run: [run] for run in range(count)}
+    members = {run: [run] for run in range(run_count)}
     for _, a, b in scored_pairs:
         chain_a, chain_b = int(chain_of_run[a]), int(chain_of_run[b])
         if (
             chain_a == chain_b
-            or is_together[np.ix_(members[chain_a], members[chain_b])].any()
+            or is_shared[np.ix_(members[chain_a], members[chain_b])].any()
         ):
             continue
         members[chain_a] += members.pop(chain_b)
@@ -106,10 +106,10 @@ def chain_runs(distances: MarkerDistances, overlap: FloatArray) -> IntArray:
 
 
 def chain_likelihoods(distances: MarkerDistances, overlap: FloatArray) -> FloatArray:
-    """Return the log-likelihood ratio that two runs are the same marker [nat]."""
-    count = len(overlap)
-    likelihood = np.zeros((count, count))
-    for run in range(count):
+    """Return the evidence that two runs are the same marker ``(R, R)`` [nat]."""
+    run_count = len(overlap)
+    likelihood = np.zeros((run_count, run_count))
+    for run in range(run_count):
         mean = distances.mean[run]
         # (S, B): mean distances of concurrent points to both runs
         log_likelihood = rest_evidence(mean, distances.spread[run], distances.mean)
@@ -123,6 +123,6 @@ def merge_chains(points: FloatArray, chain_of_run: IntArray) -> FloatArray:
     """Merge run positions ``(F, R, 3)`` into chain positions ``(F, C, 3)``."""
     merged_points = np.full((len(points), int(chain_of_run.max()) + 1, 3), np.nan)
     for run, chain in enumerate(chain_of_run.tolist()):
-        visible = np.isfinite(points[:, run, 0])
-        merged_points[visible, chain] = points[visible, run]
+        is_visible = np.isfinite(points[:, run, 0])
+        merged_points[is_visible, chain] = points[is_visible, run]
     return merged_points

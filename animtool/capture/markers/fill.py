@@ -32,13 +32,13 @@ if TYPE_CHECKING:
     from animtool.capture.markers.skeleton import MarkerSubject, SkeletonMarkers
 
 # Longest gap that is filled by a curve through the surrounding frames [s].
-CURVE_SECONDS = 0.05
+MAX_CURVE_SECONDS = 0.05
 # Frames on either side for fitting the curve, and the minimum on one side.
-CURVE_FRAMES, MIN_FRAMES = 6, 3
+CURVE_FRAMES, MIN_SIDE_FRAMES = 6, 3
 CURVE_DEGREE = 5
 # A prediction with an error below this is not compared with others [m]; and the
 # fraction of a gap in which another marker must be visible to support the joint.
-ACCEPTED_ERROR, MIN_SUPPORT_VISIBILITY = 0.001, 0.8
+MAX_ACCEPTED_ERROR, MIN_SUPPORT_VISIBILITY = 0.001, 0.8
 # Cross-validation next to a gap underestimates the error within it by this factor.
 VALIDATION_BIAS = 1.6
 
@@ -77,7 +77,7 @@ def fill_markers(
     options: FillOptions | None = None,
     subject: MarkerSubject | None = None,
 ) -> tuple[Markers, FillReport]:
-    """Return markers without swaps, spikes and gaps, as far as they can be recovered.
+    """Repair swapped names, remove spikes and fill gaps where that is possible.
 
     With a subject, gaps are filled from its skeleton: the marker's position on it plus
     its offset there before and after the gap. Other gaps, and all without a subject,
@@ -104,13 +104,13 @@ def fill_markers(
     ([4.0, 4.0, 4.0], 'curve')
     """
     with one_thread():
-        return _complete_markers(markers, options or FillOptions(), subject)
+        return _repair_and_fill(markers, options or FillOptions(), subject)
 
 
-def _complete_markers(
+def _repair_and_fill(
     markers: Markers, options: FillOptions, subject: MarkerSubject | None
 ) -> tuple[Markers, FillReport]:
-    """Repair swaps and spikes and fill gaps; return the markers and the report."""
+    """Run the repairs that the options ask for; see `fill_markers`."""
     swaps: list[Swap] = []
     spikes: list[Spike] = []
     if not options.keep_swaps:
@@ -130,9 +130,9 @@ def _complete_markers(
             skeleton = solve_skeleton_markers(markers, subject)
             notices += skeleton.notices
         positions, gaps = _fill_gaps(markers, options.longest, skeleton)
-    visible = markers.visible
+    is_measured = markers.visible
     is_known = np.asarray(np.isfinite(positions).all(axis=-1))
-    is_filled = is_known & ~visible
+    is_filled = is_known & ~is_measured
     if markers.filled is not None:
         is_filled |= markers.filled & is_known
     result = replace(
@@ -151,8 +151,8 @@ def _complete_markers(
         *plausibility_warnings(markers),
     ]
     report = FillReport(
-        len(markers), len(markers.names), int((is_known & ~visible).sum()), left_count,
-        gaps, spikes, swaps, notices,
+        len(markers), len(markers.names), int((is_known & ~is_measured).sum()),
+        left_count, gaps, spikes, swaps, notices,
     )  # fmt: skip
     return result, report
 
@@ -173,26 +173,26 @@ def _length_warning(longest: float | None, markers: Markers) -> list[Fault]:
 def _fill_gaps(
     markers: Markers, max_seconds: float | None, skeleton: SkeletonMarkers | None
 ) -> tuple[FloatArray, list[FilledGap]]:
-    """Return positions with gaps filled, shorter ones first, and the gaps."""
+    """Fill the shortest gaps first; return positions ``(F, M, 3)``, and all gaps."""
     positions = markers.positions.copy()
     is_measured = np.asarray(np.isfinite(positions).all(axis=-1))
-    visible = is_measured.copy()
+    is_known = is_measured.copy()
     rate = float(markers.clock.rate)
     spread = marker_distances(positions).spread
     filled_gaps = []
-    for length, first, marker in _sorted_gaps(markers, visible):
+    for length, first, marker in _sorted_gaps(markers, is_known):
         gap = slice(first, first + length)
-        marker_gap = MarkerGap(positions, visible, marker, gap, spread[marker], rate)
+        marker_gap = MarkerGap(positions, is_known, marker, gap, spread[marker], rate)
         path: FloatArray | None = None
         method = ""
         if max_seconds is None or length <= max_seconds * rate:
             if skeleton is not None and skeleton.is_predicted(marker, gap):
-                measured_gap = replace(marker_gap, visible=is_measured)
+                measured_gap = replace(marker_gap, is_visible=is_measured)
                 prediction = predict_from_skeleton(skeleton, measured_gap)
                 method = "skeleton"
-                mostly_visible = is_measured[gap].mean(axis=0) >= MIN_SUPPORT_VISIBILITY
-                drift = skeleton.drift_speed(marker, mostly_visible) * length / rate
-                if drift and max(drift, prediction.error) > ACCEPTED_ERROR:
+                is_supporting = is_measured[gap].mean(axis=0) >= MIN_SUPPORT_VISIBILITY
+                drift = skeleton.drift_speed(marker, is_supporting) * length / rate
+                if drift and max(drift, prediction.error) > MAX_ACCEPTED_ERROR:
                     prediction = replace(prediction, error=max(drift, prediction.error))
                     prediction, method = _most_accurate_prediction(
                         (prediction, "skeleton"),
@@ -200,58 +200,66 @@ def _fill_gaps(
                         (predict_from_markers(marker_gap), "markers"),
                     )
                 path = prediction.positions
-            elif length <= CURVE_SECONDS * rate + 1e-9:
+            elif length <= MAX_CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
                 path = _polynomial_positions(
-                    positions[:, marker], visible[:, marker], gap
+                    positions[:, marker], is_known[:, marker], gap
                 )
             if path is None:
-                from_markers = predict_from_markers(marker_gap)
-                if from_markers is not None:
-                    path, method = from_markers.positions, "markers"
+                prediction_from_markers = predict_from_markers(marker_gap)
+                if prediction_from_markers is not None:
+                    path, method = prediction_from_markers.positions, "markers"
         if path is not None:
             positions[gap, marker] = path
-            visible[gap, marker] = True
+            is_known[gap, marker] = True
         name = markers.names[marker]
         last = first + length - 1
         filled_gaps.append(FilledGap(name, first, last, "" if path is None else method))
-    order = {name: i for i, name in enumerate(markers.names)}
-    filled_gaps.sort(key=lambda gap: (order[gap.marker], gap.first))
+    marker_order = {name: i for i, name in enumerate(markers.names)}
+    filled_gaps.sort(key=lambda gap: (marker_order[gap.marker], gap.first))
     return positions, filled_gaps
 
 
 def _most_accurate_prediction(
     *predictions: tuple[Prediction | None, str],
 ) -> tuple[Prediction, str]:
-    """Return the prediction with the smallest error, and its method."""
-    (first, name), *alternatives = (
-        (prediction, name) for prediction, name in predictions if prediction is not None
+    """Return the prediction with the least error, and its method.
+
+    The first one's error is within the gap; those of the others are next to it.
+    """
+    (first, method), *alternatives = (
+        (prediction, method)
+        for prediction, method in predictions
+        if prediction is not None
     )
     error = first.error / VALIDATION_BIAS
     return min(
-        [(replace(first, error=error), name), *alternatives],
+        [(replace(first, error=error), method), *alternatives],
         key=lambda prediction: prediction[0].error,
     )
 
 
-def _sorted_gaps(markers: Markers, visible: BoolArray) -> list[tuple[int, int, int]]:
-    """Return length, first frame and marker of all gaps, shortest first."""
+def _sorted_gaps(markers: Markers, is_known: BoolArray) -> list[tuple[int, int, int]]:
+    """Return length [frame], first frame and marker of the gaps of named markers."""
     gaps = []
     for marker, name in enumerate(markers.names):
-        if name.startswith("*") or not visible[:, marker].any():
+        if name.startswith("*") or not is_known[:, marker].any():
             continue
-        missing_runs = runs(~visible[:, marker])
+        missing_runs = runs(~is_known[:, marker])
         gaps += [(end - first, first, marker) for first, end in missing_runs]
     return sorted(gaps)
 
 
 def _polynomial_positions(
-    path: FloatArray, visible: BoolArray, gap: slice
+    path: FloatArray, is_known: BoolArray, gap: slice
 ) -> FloatArray | None:
-    """Fill a gap by a polynomial through nearby frames; None if there are too few."""
-    frames_before = _visible_frames_near(visible, gap.start - 1, -1)
-    frames_after = _visible_frames_near(visible, gap.stop, 1)
-    if len(frames_before) < MIN_FRAMES or len(frames_after) < MIN_FRAMES:
+    """Return positions in a gap on a polynomial through nearby frames ``(G, 3)``.
+
+    None if fewer than `MIN_SIDE_FRAMES` are visible on a side.
+    """
+    frames_before = _visible_frames_near(is_known, gap.start - 1, -1)
+    frames_after = _visible_frames_near(is_known, gap.stop, 1)
+    if len(frames_before) < MIN_SIDE_FRAMES or len(frames_after) < MIN_SIDE_FRAMES:
         return None
     frames = np.array([*frames_before[::-1], *frames_after])
     middle_frame = 0.5 * (gap.start + gap.stop - 1)
@@ -263,11 +271,11 @@ def _polynomial_positions(
     return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
 
 
-def _visible_frames_near(visible: BoolArray, start: int, step: int) -> list[int]:
-    """Return the visible frames nearest to a gap on one side, up to a limit."""
+def _visible_frames_near(is_known: BoolArray, start: int, step: int) -> list[int]:
+    """Return the visible frames next to a gap, from ``start`` on, up to a limit."""
     frames: list[int] = []
     frame = start
-    while 0 <= frame < len(visible) and visible[frame] and len(frames) < CURVE_FRAMES:
+    while 0 <= frame < len(is_known) and is_known[frame] and len(frames) < CURVE_FRAMES:
         frames.append(frame)
         frame += step
     return frames

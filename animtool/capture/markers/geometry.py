@@ -8,42 +8,42 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
 # Most frames sampled of a long take.
-MAX_FRAMES = 1500
+MAX_SAMPLED_FRAMES = 1500
 # Minimum frames for a spread.
-MIN_FRAMES = 12
+MIN_PAIR_FRAMES = 12
 # Median, and one standard deviation below and above [%].
 PERCENTILES = (15.87, 50.0, 84.13)
 
 
 @dataclass(frozen=True, slots=True)
 class MarkerDistances:
-    """Mean and spread of the distances between M markers."""
+    """Typical distance of each two of M markers, and how much it varies."""
 
     mean: FloatArray  # mean of each pair ``(M, M)`` [m]; NaN if never visible
     spread: FloatArray  # how much each varies ``(M, M)`` [m], standard deviation
 
 
 def marker_distances(positions: FloatArray) -> MarkerDistances:
-    """Return marker distances over frames, robust against a few outliers.
+    """Return median and spread of marker distances over sampled frames.
 
     positions: ``(F, M, 3)`` [m]; NaN where not visible.
     """
-    frames, count, _ = positions.shape
-    step = max(1, frames // MAX_FRAMES)
+    frame_count, marker_count, _ = positions.shape
+    step = max(1, frame_count // MAX_SAMPLED_FRAMES)
     sample = positions[::step]
-    mean = np.full((count, count), np.nan)
-    spread = np.full((count, count), np.nan)
-    min_frames = min(MIN_FRAMES, len(sample))
-    for i in range(count - 1):
+    mean = np.full((marker_count, marker_count), np.nan)
+    spread = np.full((marker_count, marker_count), np.nan)
+    min_frames = min(MIN_PAIR_FRAMES, len(sample))
+    for i in range(marker_count - 1):
         lengths = np.linalg.norm(sample[:, i + 1 :] - sample[:, i : i + 1], axis=-1)
         is_finite = np.isfinite(lengths)
-        columns_with_data = np.flatnonzero(is_finite.sum(axis=0) >= min_frames)
-        if not len(columns_with_data):
+        measured_columns = np.flatnonzero(is_finite.sum(axis=0) >= min_frames)
+        if not len(measured_columns):
             continue
-        low, median, high = _column_quantiles(lengths[:, columns_with_data])
-        columns = columns_with_data + i + 1
-        mean[i, columns] = mean[columns, i] = median
-        spread[i, columns] = spread[columns, i] = 0.5 * (high - low)
+        low, median, high = _column_quantiles(lengths[:, measured_columns])
+        partners = measured_columns + i + 1
+        mean[i, partners] = mean[partners, i] = median
+        spread[i, partners] = spread[partners, i] = 0.5 * (high - low)
     return MarkerDistances(mean, spread)
 
 
@@ -51,9 +51,9 @@ def _column_quantiles(values: FloatArray) -> FloatArray:
     """Return the `PERCENTILES` of each column ``(3, N)``, ignoring NaN."""
     sorted_values = np.sort(values, axis=0)
     last_row = np.isfinite(values).sum(axis=0) - 1
-    position = np.array(PERCENTILES)[:, None] / 100.0 * last_row
-    lower_row = position.astype(np.int64)
-    fraction = position - lower_row
+    fractional_row = np.array(PERCENTILES)[:, None] / 100.0 * last_row
+    lower_row = fractional_row.astype(np.int64)
+    fraction = fractional_row - lower_row
     columns = np.arange(values.shape[1])
     low = sorted_values[lower_row, columns]
     high = sorted_values[np.minimum(lower_row + 1, last_row), columns]
@@ -88,7 +88,7 @@ def fit_shape(points: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatA
 
 
 def mean_square_errors(points: FloatArray, shape: FloatArray) -> FloatArray:
-    """Return the mean square distance of points from a fitted shape ``(F,)`` [m^2].
+    """Return each frame's mean square distance of points from a fitted shape [m^2].
 
     Arguments are those of `fit_shape`.
     """
@@ -98,17 +98,19 @@ def mean_square_errors(points: FloatArray, shape: FloatArray) -> FloatArray:
 
 
 def positions_by_column(
-    positions: FloatArray, ids: IntArray, column_of_id: IntArray, count: int
+    positions: FloatArray, run_ids: IntArray, column_of_run: IntArray, column_count: int
 ) -> FloatArray:
-    """Return positions in ``count`` columns ``(F, count, 3)``, NaN without a point.
+    """Sort points into a column for each run's marker ``(F, M, 3)``; NaN without one.
 
-    positions: ``(F, P, 3)``. ids: ``(F, P)``, -1 for none. column_of_id: Column of each
-    id, -1 for none.
+    positions: ``(F, P, 3)``. run_ids: Run of each point ``(F, P)``, -1 for none.
+    column_of_run: ``(T,)``, -1 for none. column_count: ``M``.
     """
-    column = np.where(ids >= 0, column_of_id[ids], -1)
-    ordered_positions = np.full((len(ids), count, 3), np.nan)
-    frame, slot = np.nonzero(column >= 0)
-    ordered_positions[frame, column[frame, slot]] = positions[frame, slot]
+    column_of_point = np.where(run_ids >= 0, column_of_run[run_ids], -1)
+    ordered_positions = np.full((len(run_ids), column_count, 3), np.nan)
+    frames, points = np.nonzero(column_of_point >= 0)
+    ordered_positions[frames, column_of_point[frames, points]] = positions[
+        frames, points
+    ]
     return ordered_positions
 
 

@@ -18,7 +18,7 @@ from animtool.capture.markers.naming import PointNaming, search_names
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.runs import TrackletLabels
 from animtool.capture.markers.tracklets import Tracklets, track_points
-from animtool.capture.markers.twins import Exchange, distinguish_twins, is_exchanged
+from animtool.capture.markers.twins import NameExchange, distinguish_twins, is_exchanged
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, OptionError, warning
@@ -33,33 +33,38 @@ MAX_RIGID_SPREAD = 0.006
 MAX_SEED_ERROR = 0.003
 # Tolerances for the distances of such a group, the second if the first finds none [m];
 # and the number of partners that each run is grouped with.
-SEED_TOLERANCE, LOOSE_SEED_TOLERANCE, PARTNERS = 0.002, 0.006, 7
-MAX_GROUPS = 400
+SEED_TOLERANCE, LOOSE_SEED_TOLERANCE, SEED_PARTNERS = 0.002, 0.006, 7
+MAX_RIGID_GROUPS = 400
 # Number of starting groups, of which the one with the most evidence is kept.
-MAX_SEEDS, MAX_SEED_GROUPS = 3, 12
+MAX_SEEDS, MAX_RESTART_SEEDS = 3, 12
 # Iterations of joining runs to chains.
 CHAIN_ROUNDS = 2
 
 
 def identify_runs(
-    points: FloatArray, shape: FloatArray, rest: FloatArray
+    points: FloatArray, rest_shape: FloatArray, rest_lengths: FloatArray
 ) -> IntArray | None:
-    """Return the marker of each run of a window ``(R,)``; None if nothing fits."""
-    chain = np.arange(points.shape[1])
+    """Return the marker of each run of points ``(F, R, 3)``; None if nothing fits."""
+    chain_of_run = np.arange(points.shape[1])
     for _ in range(CHAIN_ROUNDS):
         distances = marker_distances(points)
-        visible = np.isfinite(points[..., 0]).astype(np.float64)
-        new_chain = chain_runs(distances, visible.T @ visible)
-        points, chain = merge_chains(points, new_chain), new_chain[chain]
+        is_visible = np.isfinite(points[..., 0]).astype(np.float64)
+        next_chain = chain_runs(distances, is_visible.T @ is_visible)
+        points, chain_of_run = (
+            merge_chains(points, next_chain),
+            next_chain[chain_of_run],
+        )
     distances = marker_distances(points)
-    visible = np.isfinite(points[..., 0]).astype(np.float64)
+    is_visible = np.isfinite(points[..., 0]).astype(np.float64)
     groups = _rigid_groups(distances)
-    seeds = _find_seeds(points, groups, distances, shape, rest, SEED_TOLERANCE)
+    seeds = _find_seeds(
+        points, groups, distances, rest_shape, rest_lengths, SEED_TOLERANCE
+    )
     if not seeds:
         seeds = _find_seeds(
-            points, groups, distances, shape, rest, LOOSE_SEED_TOLERANCE
+            points, groups, distances, rest_shape, rest_lengths, LOOSE_SEED_TOLERANCE
         )
-    initial_naming = PointNaming(distances, visible.T @ visible, rest)
+    initial_naming = PointNaming(distances, is_visible.T @ is_visible, rest_lengths)
     merged_seed = _merge_seeds(seeds, initial_naming.are_concurrent)
     namings = []
     for seed in filter(None, [merged_seed, *seeds[:MAX_SEEDS]]):
@@ -71,40 +76,45 @@ def identify_runs(
     if not namings:
         return None
     best_naming = max(namings, key=PointNaming.total_evidence)
-    return search_names(best_naming, rest, seeds[:MAX_SEED_GROUPS]).names_of[chain]
+    naming = search_names(best_naming, rest_lengths, seeds[:MAX_RESTART_SEEDS])
+    return naming.point_markers[chain_of_run]
 
 
-def _merge_seeds(seeds: list[dict[int, int]], together: BoolArray) -> dict[int, int]:
-    """Merge the marker names of groups that do not contradict better groups."""
-    names: dict[int, int] = {}
+def _merge_seeds(
+    seeds: list[dict[int, int]], are_concurrent: BoolArray
+) -> dict[int, int]:
+    """Merge seeds, point → marker, unless they contradict a better one before them."""
+    merged_seed: dict[int, int] = {}
     for seed in seeds:
-        if any(names.get(point, marker) != marker for point, marker in seed.items()):
+        if any(merged_seed.get(p, m) != m for p, m in seed.items()):
             continue
-        combined_names = names | seed
-        points = np.array(list(combined_names))
-        markers = np.array(list(combined_names.values()))
-        is_clash = together[np.ix_(points, points)] & (markers[:, None] == markers)
+        extended_seed = merged_seed | seed
+        points = np.array(list(extended_seed))
+        markers = np.array(list(extended_seed.values()))
+        is_clash = are_concurrent[np.ix_(points, points)] & (
+            markers[:, None] == markers
+        )
         np.fill_diagonal(is_clash, False)
         if not is_clash.any():
-            names = combined_names
-    return names
+            merged_seed = extended_seed
+    return merged_seed
 
 
 def _find_seeds(
     points: FloatArray,
     groups: list[tuple[int, ...]],
     distances: MarkerDistances,
-    shape: FloatArray,
-    rest: FloatArray,
+    rest_shape: FloatArray,
+    rest_lengths: FloatArray,
     tolerance: float,
 ) -> list[dict[int, int]]:
-    """Return groups of rigid runs with their candidate markers, best first."""
+    """Return rigid groups as point → marker, by the error of their shape at rest."""
     seeds = []
     for group in groups:
-        for markers in _matching_markers(group, distances.mean, rest, tolerance):
-            error = _shape_error(points[:, group], shape[list(markers)])
-            if error < MAX_SEED_ERROR:
-                seeds.append((error, dict(zip(group, markers, strict=True))))
+        for markers in _match_markers(group, distances.mean, rest_lengths, tolerance):
+            shape_error = _shape_error(points[:, group], rest_shape[list(markers)])
+            if shape_error < MAX_SEED_ERROR:
+                seeds.append((shape_error, dict(zip(group, markers, strict=True))))
     seeds.sort(key=lambda entry: entry[0])
     return [pairs for _, pairs in seeds]
 
@@ -115,7 +125,7 @@ def _rigid_groups(distances: MarkerDistances) -> list[tuple[int, ...]]:
     np.fill_diagonal(spread, np.inf)
     worst_spread: dict[tuple[int, ...], float] = {}
     for run, row in enumerate(spread):
-        nearest_runs = np.argsort(row, kind="stable")[:PARTNERS]
+        nearest_runs = np.argsort(row, kind="stable")[:SEED_PARTNERS]
         nearest_runs = nearest_runs[row[nearest_runs] < MAX_RIGID_SPREAD]
         for partners in combinations(nearest_runs.tolist(), 3):
             group = tuple(sorted((run, *partners)))
@@ -127,45 +137,50 @@ def _rigid_groups(distances: MarkerDistances) -> list[tuple[int, ...]]:
         for group, value in worst_spread.items()
         if value < MAX_RIGID_SPREAD
     )
-    return [group for _, group in rigid_groups[:MAX_GROUPS]]
+    return [group for _, group in rigid_groups[:MAX_RIGID_GROUPS]]
 
 
-def _matching_markers(
-    group: tuple[int, ...], lengths: FloatArray, rest: FloatArray, tolerance: float
+def _match_markers(
+    group: tuple[int, ...],
+    lengths: FloatArray,
+    rest_lengths: FloatArray,
+    tolerance: float,
 ) -> list[tuple[int, ...]]:
-    """Return all tuples of markers whose rest distances match a group of runs."""
-    first, second = np.nonzero(np.abs(rest - lengths[group[1], group[0]]) < tolerance)
+    """Return all marker tuples whose rest distances match those of a group of runs."""
+    first, second = np.nonzero(
+        np.abs(rest_lengths - lengths[group[1], group[0]]) < tolerance
+    )
     partial_matches = np.stack([first, second], axis=1)
     partial_matches = partial_matches[first != second]
     for k in range(2, len(group)):
         group_lengths = lengths[group[k], group[:k]]
-        deviation = np.abs(rest[partial_matches] - group_lengths[None, :, None])
+        deviation = np.abs(rest_lengths[partial_matches] - group_lengths[None, :, None])
         is_match: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
         is_match[np.arange(len(partial_matches))[:, None], partial_matches] = False
-        match_indices, marker = np.nonzero(is_match)
+        match_indices, next_marker = np.nonzero(is_match)
         partial_matches = np.concatenate(
-            [partial_matches[match_indices], marker[:, None]], axis=1
+            [partial_matches[match_indices], next_marker[:, None]], axis=1
         )
     return [tuple(markers) for markers in partial_matches.tolist()]
 
 
 def _shape_error(points: FloatArray, shape: FloatArray) -> float:
-    """Return the rigid fit error of a shape to points, without reflections [m]."""
-    complete_frames = points[np.isfinite(points).all(axis=(1, 2))][::8]
-    if not len(complete_frames):
+    """Return the median root mean square error of a shape's rigid fit to points [m]."""
+    complete_points = points[np.isfinite(points).all(axis=(1, 2))][::8]
+    if not len(complete_points):
         return np.inf
-    return float(np.sqrt(np.median(mean_square_errors(complete_frames, shape))))
+    return float(np.sqrt(np.median(mean_square_errors(complete_points, shape))))
 
 
 # Minimum length of the runs that are named first [frame], and of the part of the take
 # they come from [s].
 MIN_RUN_FRAMES = 30
-BASE_SECONDS = 10.0
+FIRST_SPAN_SECONDS = 10.0
 
 
 @dataclass(frozen=True, slots=True)
-class Doubt:
-    """Markers whose names could be exchanged."""
+class AmbiguousNames:
+    """Markers whose names could be exchanged without contradicting the capture."""
 
     markers: tuple[str, ...]  # names of the markers
     first: int  # first frame in which all of them are visible, from 0
@@ -177,7 +192,7 @@ class Doubt:
 
 @dataclass(frozen=True, slots=True)
 class LabelReport:
-    """Result of labelling: named points, and names that stay in doubt."""
+    """Result of labelling: how many points have names, and which names are doubtful."""
 
     frames: int  # number of frames
     markers: int  # number of names
@@ -187,7 +202,8 @@ class LabelReport:
     runs: int  # number of gapless runs
     missing: list[str]  # names without a point in any frame
     coverage: dict[str, float]  # fraction of frames in which each name has a point
-    doubts: list[Doubt]  # markers that neither distances nor shapes distinguish
+    # Markers that neither distances nor shapes distinguish.
+    doubts: list[AmbiguousNames]
     notices: list[Fault] = field(default_factory=list)  # warnings
 
     @property
@@ -208,89 +224,93 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
         cloud: Points in any order, which may change from frame to frame.
         static: The subject's labelled static trial; its frames are averaged.
     """
-    names, rest = _static_template(static)
+    names, rest_shape = _static_template(static)
     rate = float(cloud.clock.rate)
     tracklets = track_points(cloud.positions, rate)
-    first_names = _name_first_runs(cloud, tracklets, rest)
-    if first_names is None:
+    marker_of_first_run = _name_first_runs(cloud, tracklets, rest_shape)
+    if marker_of_first_run is None:
         message = "no group of points moves like a segment of the trial"
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
-    lengths = np.linalg.norm(rest[:, None] - rest[None], axis=-1)
-    tracklet_labels = TrackletLabels(
-        cloud.positions, tracklets, rate, first_names, lengths
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
+    labels = TrackletLabels(
+        cloud.positions, tracklets, rate, marker_of_first_run, rest_lengths
     )
-    names_of, exchanges, pairs = distinguish_twins(tracklet_labels.marker_paths(), rest)
-    is_named = tracklet_labels.names_of >= 0
-    tracklet_labels.names_of = np.where(
-        is_named, names_of[tracklet_labels.names_of], -1
+    new_marker_of, exchanges, pairs = distinguish_twins(
+        labels.marker_paths(), rest_shape
     )
+    is_named = labels.run_markers >= 0
+    labels.run_markers = np.where(is_named, new_marker_of[labels.run_markers], -1)
     for pair in pairs:
-        _exchange_parts(tracklet_labels, rest, pair)
-    tracklet_labels.name_runs()
-    return _apply_names(cloud, names, tracklets, tracklet_labels.names_of, exchanges)
+        _exchange_where_better(labels, rest_shape, pair)
+    labels.name_runs()
+    return _apply_names(cloud, names, tracklets, labels.run_markers, exchanges)
 
 
 def _static_template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
-    """Return names and mean positions ``(M, 3)`` of the markers of a trial at rest."""
+    """Return names and median positions ``(M, 3)`` of a static trial's markers."""
     visible_columns = np.flatnonzero(static.visible.any(axis=0)).tolist()
     columns = [i for i in visible_columns if not static.names[i].startswith("*")]
     if len(columns) < 4:
         message = f"the trial has {len(columns)} labelled markers; labelling needs 4"
         raise OptionError(Fault("MKR020", message))
-    rest = np.nanmedian(static.positions[:, columns], axis=0)
-    return tuple(static.names[i] for i in columns), rest
+    rest_shape = np.nanmedian(static.positions[:, columns], axis=0)
+    return tuple(static.names[i] for i in columns), rest_shape
 
 
 def _apply_names(
     cloud: Markers,
     names: tuple[str, ...],
     tracklets: Tracklets,
-    name_of_run: IntArray,
-    exchanges: list[Exchange],
+    run_markers: IntArray,
+    exchanges: list[NameExchange],
 ) -> tuple[Markers, LabelReport]:
-    """Return the cloud with labelled markers."""
-    frames = len(cloud)
-    slots = np.full((frames, len(names)), -1)
+    """Return the cloud with a named marker for each name, and the report."""
+    frame_count = len(cloud)
+    point_indices = np.full((frame_count, len(names)), -1)
     ids = tracklets.ids
-    marker = np.where(ids >= 0, name_of_run[ids], -1)
-    frame, slot = np.nonzero(marker >= 0)
-    slots[frame, marker[frame, slot]] = slot
+    marker_of_point = np.where(ids >= 0, run_markers[ids], -1)
+    frame_indices, points = np.nonzero(marker_of_point >= 0)
+    point_indices[frame_indices, marker_of_point[frame_indices, points]] = points
 
-    labelled_cloud = cloud.rearrange(slots, names)
-    coverage = (slots >= 0).mean(axis=0)
-    point_count, labelled_count = int((ids >= 0).sum()), int((slots >= 0).sum())
-    coverage_values = dict(zip(names, coverage.tolist(), strict=True))
-    missing = [name for name, fraction in coverage_values.items() if not fraction]
+    labelled_cloud = cloud.rearrange(point_indices, names)
+    fractions = (point_indices >= 0).mean(axis=0)
+    point_count, labelled_count = int((ids >= 0).sum()), int((point_indices >= 0).sum())
+    coverage = dict(zip(names, fractions.tolist(), strict=True))
+    missing_names = [name for name, fraction in coverage.items() if not fraction]
     notices = plausibility_warnings(cloud)
-    if missing:
-        message = f"no points were found for {', '.join(missing)}"
+    if missing_names:
+        message = f"no points were found for {', '.join(missing_names)}"
         notices.append(warning("MKR110", message))
     doubts = _exchange_doubts(labelled_cloud, exchanges)
     if doubts:
         notices.append(_doubt_warning(doubts, cloud))
     report = LabelReport(
-        frames, len(names), point_count, labelled_count, point_count - labelled_count,
-        len(tracklets.first), missing, coverage_values, doubts, notices,
+        frame_count, len(names), point_count, labelled_count,
+        point_count - labelled_count, len(tracklets.first), missing_names,
+        coverage, doubts, notices,
     )  # fmt: skip
     return labelled_cloud, report
 
 
-def _exchange_doubts(labelled_cloud: Markers, exchanges: list[Exchange]) -> list[Doubt]:
-    """Return the doubtful name exchanges, with the frames that they affect."""
+def _exchange_doubts(
+    labelled_cloud: Markers, exchanges: list[NameExchange]
+) -> list[AmbiguousNames]:
+    """Return doubtful exchanges as names, with the first and last frame of all."""
     doubts = []
     for exchange in exchanges:
         markers = list(exchange.markers)
-        visible = np.flatnonzero(labelled_cloud.visible[:, markers].all(axis=1))
-        if len(visible):
+        shared_frames = np.flatnonzero(labelled_cloud.visible[:, markers].all(axis=1))
+        if len(shared_frames):
             names = tuple(labelled_cloud.names[marker] for marker in markers)
             score = round(exchange.score, 3)
-            doubts.append(Doubt(names, int(visible[0]), int(visible[-1]), score))
+            first, last = shared_frames[[0, -1]].tolist()
+            doubts.append(AmbiguousNames(names, first, last, score))
     return doubts
 
 
-def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
-    """Return a warning that lists the markers whose names could be exchanged."""
+def _doubt_warning(doubts: list[AmbiguousNames], cloud: Markers) -> Fault:
+    """Return a warning that lists doubtful names and their frames (MKR116)."""
     doubt_texts = []
     for doubt in doubts:
         first, last = cloud.clock.times[[doubt.first, doubt.last]]
@@ -304,62 +324,67 @@ def _doubt_warning(doubts: list[Doubt], cloud: Markers) -> Fault:
 
 
 def _name_first_runs(
-    cloud: Markers, tracklets: Tracklets, rest_positions: FloatArray
+    cloud: Markers, tracklets: Tracklets, rest_shape: FloatArray
 ) -> IntArray | None:
-    """Return the marker of each long run, -1 for the others; None if nothing fits."""
-    frames, runs = _base_frames(tracklets, len(cloud), float(cloud.clock.rate))
-    lengths = np.linalg.norm(rest_positions[:, None] - rest_positions[None], axis=-1)
+    """Name the long runs of the span with most of them ``(T,)``; -1 for the others.
+
+    Return None if no group of runs fits the markers at rest.
+    """
+    frames, long_runs = _find_first_span(tracklets, len(cloud), float(cloud.clock.rate))
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     column_of_run = np.full(len(tracklets.first) + 1, -1)
-    column_of_run[runs] = np.arange(len(runs))
+    column_of_run[long_runs] = np.arange(len(long_runs))
     points = positions_by_column(
-        cloud.positions[frames], tracklets.ids[frames], column_of_run, len(runs)
+        cloud.positions[frames], tracklets.ids[frames], column_of_run, len(long_runs)
     )
-    names = identify_runs(points, rest_positions, lengths)
-    if names is None:
+    markers = identify_runs(points, rest_shape, rest_lengths)
+    if markers is None:
         return None
-    name_of_run = np.full(len(tracklets.first), -1)
-    name_of_run[runs] = names
-    return name_of_run
+    run_markers = np.full(len(tracklets.first), -1)
+    run_markers[long_runs] = markers
+    return run_markers
 
 
-def _base_frames(
-    tracklets: Tracklets, frames: int, rate: float
+def _find_first_span(
+    tracklets: Tracklets, frame_count: int, rate: float
 ) -> tuple[slice, IntArray]:
-    """Return the frames with the longest runs, to label first, and these runs."""
+    """Return the span of frames best covered by long runs, and the indices of these."""
     first, last = tracklets.first, tracklets.last
-    length = min(frames, max(MIN_RUN_FRAMES, int(BASE_SECONDS * rate)))
-    best_start, best_count = 0, -1
-    for start in range(0, frames - length + 1, max(1, length // 4)):
-        ends = np.minimum(last, start + length - 1)
+    span_length = min(frame_count, max(MIN_RUN_FRAMES, int(FIRST_SPAN_SECONDS * rate)))
+    best_start, best_score = 0, -1
+    for start in range(0, frame_count - span_length + 1, max(1, span_length // 4)):
+        ends = np.minimum(last, start + span_length - 1)
         shared_frames = ends - np.maximum(first, start) + 1
-        score = int(shared_frames[shared_frames > MIN_RUN_FRAMES].sum())
-        if score > best_count:
-            best_start, best_count = start, score
-    end = best_start + length
+        frame_score = int(shared_frames[shared_frames > MIN_RUN_FRAMES].sum())
+        if frame_score > best_score:
+            best_start, best_score = start, frame_score
+    end = best_start + span_length
     shared_frames = np.minimum(last, end - 1) - np.maximum(first, best_start) + 1
     return slice(best_start, end), np.flatnonzero(
-        shared_frames >= min(MIN_RUN_FRAMES, length)
+        shared_frames >= min(MIN_RUN_FRAMES, span_length)
     )
 
 
-def _exchange_parts(
-    tracklet_labels: TrackletLabels, rest_positions: FloatArray, pair: tuple[int, int]
+def _exchange_where_better(
+    labels: TrackletLabels, rest_shape: FloatArray, pair: tuple[int, int]
 ) -> None:
-    """Exchange two names in those parts of a take in which the shape fits better.
+    """Exchange two markers' runs where the rest shape fits better exchanged.
 
-    A part ends at a gap of both markers, where continuity is lost.
+    Runs are tested in groups that end at a gap of both markers.
     """
-    runs = np.flatnonzero(np.isin(tracklet_labels.names_of, pair))
-    first, last = tracklet_labels.tracklets.first, tracklet_labels.tracklets.last
-    runs = runs[np.argsort(first[runs], kind="stable")]
-    ends = np.maximum.accumulate(last[runs])
-    parts_of_take = np.split(runs, np.flatnonzero(first[runs][1:] > ends[:-1]) + 1)
-    if len(parts_of_take) < 2:
+    pair_runs = np.flatnonzero(np.isin(labels.run_markers, pair))
+    first, last = labels.tracklets.first, labels.tracklets.last
+    pair_runs = pair_runs[np.argsort(first[pair_runs], kind="stable")]
+    ends = np.maximum.accumulate(last[pair_runs])
+    run_groups = np.split(
+        pair_runs, np.flatnonzero(first[pair_runs][1:] > ends[:-1]) + 1
+    )
+    if len(run_groups) < 2:
         return
-    marker_positions = tracklet_labels.marker_paths()
-    for runs_in_part in parts_of_take:
-        end = int(last[runs_in_part].max()) + 1
-        frames = slice(int(first[runs_in_part].min()), end)
-        if is_exchanged(marker_positions[frames], rest_positions, pair):
-            names = tracklet_labels.names_of[runs_in_part]
-            tracklet_labels.names_of[runs_in_part] = sum(pair) - names
+    marker_positions = labels.marker_paths()
+    for run_group in run_groups:
+        end = int(last[run_group].max()) + 1
+        frames = slice(int(first[run_group].min()), end)
+        if is_exchanged(marker_positions[frames], rest_shape, pair):
+            markers = labels.run_markers[run_group]
+            labels.run_markers[run_group] = sum(pair) - markers

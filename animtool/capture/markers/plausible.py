@@ -11,21 +11,23 @@ from animtool.core.rates import rate_warning
 from animtool.motion.markers import Markers
 
 # Sizes of captured subjects, from a hand to a group of people [m].
-MIN_SUBJECT, MAX_SUBJECT = 0.05, 60.0
+MIN_SUBJECT_SIZE, MAX_SUBJECT_SIZE = 0.05, 60.0
 # Size of a child, and of a person with raised arms [m].
 PERSON_SIZE = (0.5, 3.0)
 # Ratios of units: m, cm, mm and in.
 UNIT_FACTORS = (10.0, 100.0, 1000.0, 39.37)
 # Frames sampled, and markers that a frame needs.
-SAMPLED_FRAMES, MIN_MARKERS = 100, 4
+SAMPLED_FRAME_COUNT, MIN_MARKERS = 100, 4
 
 
 def plausibility_warnings(markers: Markers) -> list[Fault]:
-    """Return warnings about the rate (TAKE009) and the size (MKR117) of a capture."""
+    """Warn of a frame rate (TAKE009) or a subject size (MKR117) that is implausible."""
     notices = rate_warning(markers.clock.rate, "source.fps")
     is_named = [not name.startswith("*") for name in markers.names]
-    rows = np.linspace(0, max(len(markers) - 1, 0), SAMPLED_FRAMES).astype(int)
-    points = markers.positions[np.unique(rows)][
+    frame_indices = np.linspace(
+        0, max(len(markers) - 1, 0), SAMPLED_FRAME_COUNT
+    ).astype(int)
+    points = markers.positions[np.unique(frame_indices)][
         :, is_named if any(is_named) else slice(None)
     ]
     sizes = []
@@ -35,7 +37,7 @@ def plausibility_warnings(markers: Markers) -> list[Fault]:
             sizes.append(float(np.linalg.norm(np.ptp(visible_points, axis=0))))
     # Median diagonal of a frame's markers [m].
     size = float(np.median(sizes)) if sizes else None
-    if size is None or MIN_SUBJECT <= size <= MAX_SUBJECT:
+    if size is None or MIN_SUBJECT_SIZE <= size <= MAX_SUBJECT_SIZE:
         return notices
     message = f"the markers of a frame span {length_text(size)}"
     unit_factors = (*UNIT_FACTORS, *(1 / factor for factor in UNIT_FACTORS))

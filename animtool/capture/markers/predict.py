@@ -29,7 +29,7 @@ TRAINING_SECONDS = 6.0
 MAX_TRAINING_FRAMES, DENSE_FRAMES = 180, 16
 MIN_TRAINING_FRAMES = 12
 # Numbers of markers that define the frame, and the pose.
-FRAME_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
+AXES_MARKERS, POSE_MARKERS = (3, 4), (0, 5, 9)
 # Noise of a position [m].
 MARKER_NOISE = 0.0005
 # Minimum noise variance relative to the kernel's variance [1], so that float64 can
@@ -45,7 +45,7 @@ SKIN_KERNELS = ((0.0, 1.0), *product((0.001, 0.004), (0.1, 0.3, 1.0)))
 # marker moves linearly with the pose.
 LENGTH_SCALES = (0.0, 1.0, 3.0)
 # Number of cross-validation spans.
-VALIDATION_SPANS = 6
+VALIDATION_SPAN_COUNT = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,10 +58,10 @@ class Prediction:
 
 @dataclass(frozen=True, slots=True)
 class MarkerGap:
-    """A gap of a marker to predict, and the positions of the take."""
+    """A marker's gap, with the positions in the take from which to predict it."""
 
     positions: FloatArray  # ``(F, M, 3)`` [m], filled gaps included
-    visible: BoolArray  # mask of the positions to learn from ``(F, M)``
+    is_visible: BoolArray  # mask of the positions to learn from ``(F, M)``
     marker: int
     frames: slice  # frames of the gap
     # How much the distance to each marker varies ``(M,)`` [m].
@@ -71,18 +71,18 @@ class MarkerGap:
     def nearest_markers(self) -> IntArray:
         """Return the markers visible throughout the gap, the most rigid first."""
         deviations = self.distance_deviations
-        is_usable = self.visible[self.frames].all(axis=0) & np.isfinite(deviations)
+        is_usable = self.is_visible[self.frames].all(axis=0) & np.isfinite(deviations)
         is_usable[self.marker] = False
         order = np.argsort(np.where(is_usable, deviations, np.inf), kind="stable")
         return np.asarray(order[: min(max(POSE_MARKERS), int(is_usable.sum()))])
 
     def training_frames(self, neighbours: IntArray) -> IntArray:
         """Return the frames to learn from: all near the gap, and some farther away."""
-        gap, visible = self.frames, self.visible
+        gap, is_visible = self.frames, self.is_visible
         window = int(TRAINING_SECONDS * self.rate)
-        first, end = max(gap.start - window, 0), min(gap.stop + window, len(visible))
-        neighbours_visible = visible[first:end][:, neighbours].all(axis=1)
-        is_usable = visible[first:end, self.marker] & neighbours_visible
+        first, end = max(gap.start - window, 0), min(gap.stop + window, len(is_visible))
+        are_neighbours_visible = is_visible[first:end][:, neighbours].all(axis=1)
+        is_usable = is_visible[first:end, self.marker] & are_neighbours_visible
         frames = np.flatnonzero(is_usable) + first
         frames = frames[(frames < gap.start) | (frames >= gap.stop)]
         is_before = frames < gap.start
@@ -96,14 +96,14 @@ class MarkerGap:
         return np.sort(np.concatenate([dense_frames, other_frames]))
 
     def with_gap_frames(self, training: IntArray) -> IntArray:
-        """Return training frames followed by the frames of the gap."""
+        """Return the training frames, and after them the frames of the gap."""
         return np.concatenate(
             [training, np.arange(self.frames.start, self.frames.stop)]
         )
 
 
 def predict_from_markers(gap: MarkerGap) -> Prediction | None:
-    """Return a marker's predicted positions in a gap; None if too few are visible.
+    """Predict a marker in a gap from other markers; None if too few are visible.
 
     The marker is expressed in the frame of those around it that are most rigid with it.
     Its motion there is learnt from the frames in which it is visible: a Gaussian
@@ -117,12 +117,12 @@ def predict_from_markers(gap: MarkerGap) -> Prediction | None:
         return None
     frames = gap.with_gap_frames(training)
     predictions = []
-    for count in FRAME_MARKERS:
+    for count in AXES_MARKERS:
         if count <= len(neighbours):
-            local, pose, to_world = _in_neighbour_frame(gap, frames, neighbours, count)
+            local, pose, to_world = _in_neighbour_axes(gap, frames, neighbours, count)
             best = _best_prediction(gap, local, pose, frames, DEVIATION_KERNELS, count)
             predictions.append(replace(best, positions=to_world(best.positions)))
-    return min(predictions, key=lambda prediction: prediction.error)
+    return min(predictions, key=lambda best: best.error)
 
 
 def _best_prediction(
@@ -135,23 +135,23 @@ def _best_prediction(
 ) -> Prediction:
     """Return the prediction with the smallest cross-validation error of all kernels.
 
-    local: Marker positions in a moving frame of reference ``(F, 3)``, visible in all
-    frames but those of the gap, which are last. pose: Other markers in that frame, the
+    local: Marker positions in moving axes ``(F, 3)``, visible in all frames but
+    those of the gap, which are last. pose_points: Other markers in these axes, the
     most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
     there are any.
     """
     known = local[: len(frames) - (gap.frames.stop - gap.frames.start)]
     best_prediction: Prediction | None = None
-    for pose_markers in POSE_MARKERS:
-        if pose_markers > pose.shape[1]:
+    for pose_marker_count in POSE_MARKERS:
+        if pose_marker_count > pose.shape[1]:
             continue
-        pose_features = pose[:, : max(pose_markers, min_markers)].reshape(
+        pose_features = pose[:, : max(pose_marker_count, min_markers)].reshape(
             len(frames), -1
         )
         for length_scale, (deviation, time) in product(
             LENGTH_SCALES, deviation_kernels
         ):
-            if not pose_markers and length_scale != LENGTH_SCALES[0]:
+            if not pose_marker_count and length_scale != LENGTH_SCALES[0]:
                 continue
             kernel = _covariance(
                 pose_features, frames / gap.rate, length_scale, deviation, time, known
@@ -166,7 +166,7 @@ def _best_prediction(
 def predict_from_parent_joint(
     skeleton: SkeletonMarkers, gap: MarkerGap
 ) -> Prediction | None:
-    """Return a marker's positions in a gap, predicted from its parent joint.
+    """Predict a marker in a gap relative to the parent of its joint.
 
     None if the marker has no parent joint or too few frames to learn from. The marker
     is expressed in the frame of the parent joint, and in frames rotated towards each
@@ -182,40 +182,48 @@ def predict_from_parent_joint(
     origin = skeleton.origins[frames, marker]
     parent_rotations = skeleton.parent_rotations[frames, marker]
     rotations = [parent_rotations]
-    visible_throughout = np.asarray(gap.visible[gap.frames].all(axis=0))
-    for marker_on_joint in skeleton.markers_on_joint(marker, visible_throughout):
-        if np.isin(training, np.flatnonzero(gap.visible[:, marker_on_joint])).all():
-            arms = positions[frames, marker_on_joint] - origin
-            rotations.append(_rotate_towards(parent_rotations, arms))
+    is_always_visible = np.asarray(gap.is_visible[gap.frames].all(axis=0))
+    for marker_on_joint in skeleton.markers_on_joint(marker, is_always_visible):
+        if np.isin(training, np.flatnonzero(gap.is_visible[:, marker_on_joint])).all():
+            directions = positions[frames, marker_on_joint] - origin
+            rotations.append(_rotate_towards(parent_rotations, directions))
     predictions = []
     for rotation in rotations:
         local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
         best = _best_prediction(gap, local, pose, frames, LOOSE_KERNELS)
-        rotated = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
-        predictions.append(replace(best, positions=rotated + origin[known_count:]))
-    return min(predictions, key=lambda prediction: prediction.error)
+        path = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
+        predictions.append(replace(best, positions=path + origin[known_count:]))
+    return min(predictions, key=lambda best: best.error)
 
 
-def _rotate_towards(parent_rotations: FloatArray, arms: FloatArray) -> FloatArray:
-    """Return frames ``(F, 3, 3)`` rotated by the shortest arc towards a point."""
-    local_directions = np.einsum("fji,fj->fi", parent_rotations, arms)
+def _rotate_towards(parent_rotations: FloatArray, directions: FloatArray) -> FloatArray:
+    """Turn axes ``(F, 3, 3)`` by the shortest arc so that they follow a direction.
+
+    directions: In the world ``(F, 3)``. Their mean in the axes is where they point
+    after that.
+    """
+    local_directions = np.einsum("fji,fj->fi", parent_rotations, directions)
     local_directions /= np.linalg.norm(local_directions, axis=1, keepdims=True)
     mean_direction = local_directions.mean(axis=0)
     mean_direction /= np.linalg.norm(mean_direction)
     axis = np.cross(mean_direction, local_directions)
-    frames = np.zeros((len(local_directions), 3, 3))
-    frames[:, 0, 1], frames[:, 0, 2] = -axis[:, 2], axis[:, 1]
-    frames[:, 1, 2] = -axis[:, 0]
-    frames -= frames.transpose(0, 2, 1)
+    cross_matrices = np.zeros((len(local_directions), 3, 3))
+    cross_matrices[:, 0, 1], cross_matrices[:, 0, 2] = -axis[:, 2], axis[:, 1]
+    cross_matrices[:, 1, 2] = -axis[:, 0]
+    cross_matrices -= cross_matrices.transpose(0, 2, 1)
     cosine = np.maximum(local_directions @ mean_direction, -0.99)
-    swing = np.eye(3) + frames + frames @ frames / (1.0 + cosine)[:, None, None]
+    swing = (
+        np.eye(3)
+        + cross_matrices
+        + cross_matrices @ cross_matrices / (1.0 + cosine)[:, None, None]
+    )
     return np.asarray(parent_rotations @ swing)
 
 
 def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Prediction:
-    """Return a marker's predicted positions in a gap from a skeleton.
+    """Predict a marker in a gap from its position on a solved skeleton.
 
     They are the marker's positions on the skeleton plus an offset: a Gaussian process
     over time, in the frame of its joint, that joins the ends. Amplitude and speed of
@@ -247,10 +255,13 @@ def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Predicti
     )
 
 
-def _in_neighbour_frame(
+def _in_neighbour_axes(
     gap: MarkerGap, frames: IntArray, neighbours: IntArray, count: int
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
-    """Return marker and pose in the frame of the nearest, and the inverse mapping."""
+    """Return the marker and its neighbours in axes that follow the nearest ones.
+
+    The last result maps positions in these axes in the gap back to the world.
+    """
     neighbour_positions = gap.positions[frames][:, neighbours]
     shape = mean_shape(neighbour_positions[:, :count])
     rotation, shift = fit_shape(neighbour_positions[:, :count], shape)
@@ -259,24 +270,24 @@ def _in_neighbour_frame(
     local = np.einsum("fji,fj->fi", rotation, offset)
 
     def to_world(values: FloatArray) -> FloatArray:
-        """Return positions of the gap in world space."""
-        rotated = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
-        return np.asarray(rotated + shift[-len(values) :])
+        """Map positions in the last frames, ``(G, 3)``, to the world."""
+        path = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
+        return np.asarray(path + shift[-len(values) :])
 
     return local, pose, to_world
 
 
 def _predict_gap(
-    known_positions: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
+    known: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
-    """Return cross-validation error and predicted positions of the gap.
+    """Return the cross-validation error [m] and the positions in the gap ``(G, 3)``.
 
     The error is that of known positions left out in spans as long as the gap [m].
     """
     from scipy.linalg import cho_factor, cho_solve
 
-    known_count = len(known_positions)
-    mean = known_positions.mean(axis=0)
+    known_count = len(known)
+    mean = known.mean(axis=0)
     # Rounding of outlying samples exceeds the noise.
     variance = max(
         MARKER_NOISE**2,
@@ -284,26 +295,26 @@ def _predict_gap(
     )
     cholesky_factor = cho_factor(kernel[:known_count] + variance * np.eye(known_count))
     inverse = cho_solve(cholesky_factor, np.eye(known_count))
-    weights_of_known = inverse @ (known_positions - mean)
-    values = kernel[known_count:] @ weights_of_known + mean
+    known_weights = inverse @ (known - mean)
+    gap_positions = kernel[known_count:] @ known_weights + mean
     length = gap.stop - gap.start
-    training_frames = frames[:known_count]
+    training = frames[:known_count]
     errors = []
-    for begin in _validation_spans(training_frames, gap):
-        is_left_out = (training_frames >= begin) & (training_frames < begin + length)
-        left_out_rows = np.flatnonzero(is_left_out)
-        if 0 < len(left_out_rows) < known_count - MIN_TRAINING_FRAMES:
-            inverse_block = inverse[np.ix_(left_out_rows, left_out_rows)]
-            residuals = np.linalg.solve(inverse_block, weights_of_known[left_out_rows])
+    for begin in _validation_spans(training, gap):
+        is_left_out = (training >= begin) & (training < begin + length)
+        left_out = np.flatnonzero(is_left_out)
+        if 0 < len(left_out) < known_count - MIN_TRAINING_FRAMES:
+            inverse_block = inverse[np.ix_(left_out, left_out)]
+            residuals = np.linalg.solve(inverse_block, known_weights[left_out])
             errors.append((residuals**2).sum(axis=1).mean())
-    return (float(np.sqrt(np.mean(errors))) if errors else np.inf), values
+    return (float(np.sqrt(np.mean(errors))) if errors else np.inf), gap_positions
 
 
 def _validation_spans(training: IntArray, gap: slice) -> list[int]:
-    """Return the starts of cross-validation spans on both sides of a gap."""
+    """Return first frames of spans as long as the gap, before and after it."""
     length = gap.stop - gap.start
     starts = []
-    for k in range(VALIDATION_SPANS // 2):
+    for k in range(VALIDATION_SPAN_COUNT // 2):
         starts.append(gap.start - (k + 1) * (length + 2))
         starts.append(gap.stop + k * (length + 2) + 2)
     return [
@@ -318,14 +329,17 @@ def _covariance(
     times: FloatArray,
     length_scale: float,
     deviation: float,
-    deviation_time: float,
-    local: FloatArray,
+    time: float,
+    known: FloatArray,
 ) -> FloatArray:
-    """Return the covariance of all frames with known frames ``(F, known)`` [m^2]."""
-    known_count = len(local)
-    variance = max(float(((local - local.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
+    """Return the covariance of all F frames with the K known ones ``(F, K)`` [m^2].
+
+    It is the sum of a kernel over the pose and a Matérn kernel over time.
+    """
+    known_count = len(known)
+    variance = max(float(((known - known.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
     distance = np.abs(times[:, None] - times[None, :known_count])
-    lag = np.sqrt(5.0) * distance / deviation_time
+    lag = np.sqrt(5.0) * distance / time
     time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
     pose_spread = np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean())

@@ -34,7 +34,7 @@ class MarkerSubject:
 
 @dataclass(frozen=True, slots=True)
 class SkeletonMarkers:
-    """Positions in F frames of M markers that are fixed to the joints of a skeleton."""
+    """Positions over F frames of M markers fixed to the joints of a skeleton."""
 
     # ``(F, M, 3)`` [m], in the world of the take; NaN for markers that the template
     # lacks.
@@ -46,48 +46,48 @@ class SkeletonMarkers:
     parent_rotations: FloatArray
     # Joint of each marker ``(M,)``; -1 for markers that the template lacks.
     joints: IntArray
-    parent_joint: IntArray  # parent of each joint ``(J,)``; -1 for the root
+    parent_of_joint: IntArray  # parent of each joint ``(J,)``; -1 for the root
     has_free_rotation: BoolArray  # which joints rotate about any axis ``(J,)``
-    determined_frames: BoolArray  # frames with enough markers for the pose ``(F,)``
+    is_pose_determined: BoolArray  # frames with enough markers for the pose ``(F,)``
     notices: tuple[Fault, ...]  # notices of calibration and solve
 
     def is_predicted(self, marker: int, frames: slice) -> bool:
         """Return whether the skeleton predicts a marker in all given frames."""
         is_known = np.isfinite(self.positions[frames, marker]).all()
-        return bool(is_known and self.determined_frames[frames].all())
+        return bool(is_known and self.is_pose_determined[frames].all())
 
     def has_parent(self, marker: int) -> bool:
-        """Return whether a marker's joint has a parent."""
+        """Return whether a marker is on a joint of the skeleton that has a parent."""
         joint = int(self.joints[marker])
-        return joint >= 0 and int(self.parent_joint[joint]) >= 0
+        return joint >= 0 and int(self.parent_of_joint[joint]) >= 0
 
-    def markers_on_joint(self, marker: int, visible: BoolArray) -> list[int]:
-        """Return the visible markers on the same joint ``(M,)``."""
-        is_on_joint = (self.joints == self.joints[marker]) & visible
+    def markers_on_joint(self, marker: int, is_visible: BoolArray) -> list[int]:
+        """Return the other markers of a mask ``(M,)`` on the same joint as a marker."""
+        is_on_joint = (self.joints == self.joints[marker]) & is_visible
         is_on_joint[marker] = False
         return [int(other_marker) for other_marker in np.flatnonzero(is_on_joint)]
 
-    def drift_speed(self, marker: int, visible: BoolArray) -> float:
+    def drift_speed(self, marker: int, is_visible: BoolArray) -> float:
         """Return the speed of a marker's drift from its skeleton position [m/s].
 
         Other visible markers determine its joint: three on it or below, or one if it is
         a hinge. With fewer, more of its pose is guessed.
         """
         joint = int(self.joints[marker])
-        marker_count = len(self.markers_on_joint(marker, visible))
-        joints = self.joints[visible & (self.joints >= 0)]
-        markers_below = int((self.parent_joint[joints] == joint).sum())
-        if marker_count >= 2 or (
-            not self.has_free_rotation[joint] and marker_count + markers_below
+        same_joint_count = len(self.markers_on_joint(marker, is_visible))
+        visible_joints = self.joints[is_visible & (self.joints >= 0)]
+        lower_joint_count = int((self.parent_of_joint[visible_joints] == joint).sum())
+        if same_joint_count >= 2 or (
+            not self.has_free_rotation[joint] and same_joint_count + lower_joint_count
         ):
             return 0.0
-        if marker_count and markers_below:
+        if same_joint_count and lower_joint_count:
             return DRIFT_PER_SECOND[0]
-        return DRIFT_PER_SECOND[1 if marker_count or markers_below > 1 else 2]
+        return DRIFT_PER_SECOND[1 if same_joint_count or lower_joint_count > 1 else 2]
 
 
 def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
-    """Solve a subject's skeleton to a take, and return its markers on the joints.
+    """Solve a subject's skeleton to a take; return the markers as fixed to its joints.
 
     Bones and offsets are calibrated to the take, then its poses are solved.
     """
@@ -101,51 +101,53 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
     rotated_offsets = np.einsum(
         "feij,ej->fei", world.linear[:, model.joints], model.offsets
     )
-    above_joint = np.asarray(model.rig.parents, np.int64)
-    rotation = up_from_up(model.rig.up, markers.up)
-    count = len(markers.names)
+    parent_of_joint = np.asarray(model.rig.parents, np.int64)
+    take_from_rig = up_from_up(model.rig.up, markers.up)
+    marker_count = len(markers.names)
 
-    def by_marker(
+    def to_take(
         points: FloatArray, rotations: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return positions and matrices of all markers, in the axes of the take."""
-        if rotation is not None:
-            inverse_rotation = so3.conjugate(np.array(rotation))
+        """Convert to the take's axes, with an entry for each marker of the take."""
+        if take_from_rig is not None:
+            inverse_rotation = so3.conjugate(np.array(take_from_rig))
             points = so3.rotate(inverse_rotation, points)
             rotations = so3.multiply(inverse_rotation, rotations)
         return (
-            _to_all_markers(points, model.columns, count),
-            _to_all_markers(so3.to_matrix(rotations), model.columns, count),
+            _to_all_markers(points, model.columns, marker_count),
+            _to_all_markers(so3.to_matrix(rotations), model.columns, marker_count),
         )
 
     joint_positions = world.positions[:, model.joints]
-    positions, matrices = by_marker(
+    positions, matrices = to_take(
         joint_positions + rotated_offsets, world.rotations[:, model.joints]
     )
-    parents = np.maximum(above_joint[model.joints], 0)
-    origins, parent_matrices = by_marker(joint_positions, world.rotations[:, parents])
-    joints = np.full(count, -1)
+    parents = np.maximum(parent_of_joint[model.joints], 0)
+    origins, parent_matrices = to_take(joint_positions, world.rotations[:, parents])
+    joints = np.full(marker_count, -1)
     joints[model.columns] = model.joints
-    has_pose = np.ones(len(markers), np.bool_)
-    has_pose[solve.score.sparse] = False
+    is_pose_determined = np.ones(len(markers), np.bool_)
+    is_pose_determined[solve.score.sparse] = False
     notices = (*calibration.notices, *solve.notices)
     hinges = {JointType.PIN, JointType.FIXED, JointType.PRISMATIC}
-    is_free = np.array([joint.type not in hinges for joint in model.rig.joints])
+    has_free_rotation = np.array(
+        [joint.type not in hinges for joint in model.rig.joints]
+    )
     return SkeletonMarkers(
         positions,
         matrices,
         origins,
         parent_matrices,
         joints,
-        above_joint,
-        is_free,
-        has_pose,
+        parent_of_joint,
+        has_free_rotation,
+        is_pose_determined,
         notices,
     )
 
 
 def _to_all_markers(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
-    """Expand columns to ``count`` markers; markers without a column are NaN."""
-    all_columns = np.full((len(values), count, *values.shape[2:]), np.nan)
-    all_columns[:, columns] = values
-    return all_columns
+    """Return values of all markers ``(F, M, …)`` from columns; NaN without a column."""
+    all_values = np.full((len(values), count, *values.shape[2:]), np.nan)
+    all_values[:, columns] = values
+    return all_values

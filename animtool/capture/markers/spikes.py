@@ -33,19 +33,19 @@ MIN_SPIKE_SIZE, MIN_SPIKE_RATIO = 0.006, 8.0
 ONE_SIDED_FACTOR = 2.0
 # Largest deviation of the frames around from the curve through them, relative to the
 # spike.
-MAX_REST_RATIO = 0.35
+MAX_SUPPORT_RESIDUAL_RATIO = 0.35
 # Penalty per frame of a spike's length.
 LENGTH_PENALTY = 60.0
 # Half the number of frames for the local fit quality, and the quantile taken: the worst
 # frames are spikes and their surroundings.
-FIT_WINDOW, FIT_QUANTILE = 24, 0.4
+LOCAL_WINDOW_SPANS, LOCAL_QUANTILE = 24, 0.4
 # A spike can hide neighbours, which are found once it is removed.
-MAX_ROUNDS = 6
+MAX_SEARCHES = 6
 
 
 @dataclass(frozen=True, slots=True)
 class Spike:
-    """A marker that deviates for a few frames."""
+    """A few frames in which a marker deviates from the motion around them."""
 
     marker: str  # name of the marker
     first: int  # first frame, from 0
@@ -54,7 +54,7 @@ class Spike:
 
 
 def find_spikes(markers: Markers) -> list[Spike]:
-    """Return the spikes of all markers, by marker and frame.
+    """Find the spikes of all markers, sorted by marker and frame.
 
     A spike is up to four frames long. Its frames deviate strongly from the smooth curve
     through the frames around, also across gaps, while those stay near it. The marker's
@@ -69,7 +69,7 @@ def find_spikes(markers: Markers) -> list[Spike]:
 
 
 def remove_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
-    """Return markers with spikes replaced by gaps."""
+    """Return markers with NaN in the frames of spikes, to be filled as gaps."""
     positions = markers.positions.copy()
     for spike in spikes:
         column = markers.names.index(spike.marker)
@@ -79,54 +79,56 @@ def remove_spikes(markers: Markers, spikes: list[Spike]) -> Markers:
 
 def _marker_spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of the spikes of a marker ``(F, 3)``."""
-    visible = np.isfinite(path[:, 0])
-    if int(visible.sum()) < 2 * SUPPORT_FRAMES + 1:
+    is_known = np.isfinite(path[:, 0])
+    if int(is_known.sum()) < 2 * SUPPORT_FRAMES + 1:
         return []
-    path = np.where(visible[:, None], path, 0.0)
-    roughness, noise = _noise_model(path, visible)
+    path = np.where(is_known[:, None], path, 0.0)
+    roughness, noise = _noise_model(path, is_known)
     spikes: list[tuple[int, int, float]] = []
-    for _ in range(MAX_ROUNDS):
-        new_spikes = _clearest_spikes(path, visible, roughness, noise)
+    for _ in range(MAX_SEARCHES):
+        new_spikes = _clearest_spikes(path, is_known, roughness, noise)
         if not new_spikes:
             break
         spikes += new_spikes
         for first, last, _ in new_spikes:
-            visible[first : last + 1] = False
+            is_known[first : last + 1] = False
     return sorted(spikes)
 
 
 def _clearest_spikes(
-    path: FloatArray, visible: BoolArray, roughness: float, noise: FloatArray
+    path: FloatArray, is_known: BoolArray, roughness: float, noise: FloatArray
 ) -> list[tuple[int, int, float]]:
-    """Select spikes that do not overlap, the clearest first."""
+    """Return first frame, last frame and size of spikes that do not overlap."""
     candidates = []
-    local_level: FloatArray | None = None
+    local_levels: FloatArray | None = None
     for length in range(1, MAX_SPIKE_FRAMES + 1):
-        starts, deviation, gain, residual = _span_deviations(
-            path, visible, length, roughness
+        starts, deviation, gain, residuals = _span_deviations(
+            path, is_known, length, roughness
         )
         if not len(starts):
             continue
-        factor = np.where(_is_one_sided(visible, starts, length), ONE_SIDED_FACTOR, 1.0)
-        scale = noise[length - 1]
-        if local_level is None:
-            local_level = _local_level(starts, gain / (3.0 * scale**2), len(path))
-        local_scale = local_level[starts]
-        min_clearness = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
-        clearness = gain / (scale**2 * local_scale)
-        is_spike = (deviation >= factor * MIN_SPIKE_SIZE) & (clearness > min_clearness)
-        is_spike &= residual < MAX_REST_RATIO**2 * gain / length
+        factor = np.where(
+            _is_one_sided(is_known, starts, length), ONE_SIDED_FACTOR, 1.0
+        )
+        sigma = noise[length - 1]
+        if local_levels is None:
+            local_levels = _local_noise(starts, gain / (3.0 * sigma**2), len(path))
+        local_scale = local_levels[starts]
+        min_strength = (factor * MIN_SPIKE_RATIO) ** 2 * 3.0 * length
+        strength = gain / (sigma**2 * local_scale)
+        is_spike = (deviation >= factor * MIN_SPIKE_SIZE) & (strength > min_strength)
+        is_spike &= residuals < MAX_SUPPORT_RESIDUAL_RATIO**2 * gain / length
         for k in np.flatnonzero(is_spike).tolist():
-            score = float(clearness[k]) - LENGTH_PENALTY * length
+            score = float(strength[k]) - LENGTH_PENALTY * length
             candidates.append((-score, int(starts[k]), length, float(deviation[k])))
     candidates.sort()
-    scale = noise[0] ** 2
+    sigma = noise[0] ** 2
     is_used_frame = np.zeros(len(path), bool)
     spikes = []
     for _, first, length, size in candidates:
         if is_used_frame[first : first + length].any():
             continue
-        if not _is_gap_artifact(path, visible, first, length, roughness, scale):
+        if not _is_gap_artifact(path, is_known, first, length, roughness, sigma):
             is_used_frame[
                 max(first - SUPPORT_FRAMES, 0) : first + length + SUPPORT_FRAMES
             ] = True
@@ -136,20 +138,20 @@ def _clearest_spikes(
 
 def _is_gap_artifact(
     path: FloatArray,
-    visible: BoolArray,
+    is_known: BoolArray,
     first: int,
     length: int,
     roughness: float,
-    scale: float,
+    variance: float,
 ) -> bool:
     """Return whether a span deviates only because of the few frames before a gap."""
     begin, end = max(first - SUPPORT_FRAMES, 0), first + length
-    frames_before = begin + np.flatnonzero(visible[begin:first])
-    frames_after = end + np.flatnonzero(visible[end : end + SUPPORT_FRAMES])
+    frames_before = begin + np.flatnonzero(is_known[begin:first])
+    frames_after = end + np.flatnonzero(is_known[end : end + SUPPORT_FRAMES])
     for frames_on_side in (frames_before, frames_after):
         if not 0 < len(frames_on_side) < length:
             continue
-        is_visible_without = visible[begin : end + SUPPORT_FRAMES].copy()
+        is_visible_without = is_known[begin : end + SUPPORT_FRAMES].copy()
         is_visible_without[frames_on_side - begin] = False
         starts, deviation, gain, _ = _span_deviations(
             path[begin : end + SUPPORT_FRAMES], is_visible_without, length, roughness
@@ -157,43 +159,43 @@ def _is_gap_artifact(
         span_index = np.flatnonzero(starts == first - begin)
         if len(span_index) and (
             deviation[span_index[0]] < MIN_SPIKE_SIZE
-            or gain[span_index[0]] < scale * MIN_SPIKE_RATIO**2 * 3.0 * length
+            or gain[span_index[0]] < variance * MIN_SPIKE_RATIO**2 * 3.0 * length
         ):
             return True
     return False
 
 
-def _is_one_sided(visible: BoolArray, starts: IntArray, length: int) -> BoolArray:
-    """Return a mask of spans without a nearby position before or after the span."""
+def _is_one_sided(is_known: BoolArray, starts: IntArray, length: int) -> BoolArray:
+    """Return a mask of the spans with no visible frame near one of their ends."""
     padding = np.zeros(SUPPORT_FRAMES, bool)
-    padded_mask = np.concatenate([padding, visible, padding])
-    sums = np.concatenate([[0], np.cumsum(padded_mask)])
-    count_before = sums[starts + SUPPORT_FRAMES] - sums[starts]
+    padded_mask = np.concatenate([padding, is_known, padding])
+    totals = np.concatenate([[0], np.cumsum(padded_mask)])
+    count_before = totals[starts + SUPPORT_FRAMES] - totals[starts]
     end = starts + SUPPORT_FRAMES + length
-    count_after = sums[end + SUPPORT_FRAMES] - sums[end]
+    count_after = totals[end + SUPPORT_FRAMES] - totals[end]
     return np.asarray((count_before == 0) | (count_after == 0))
 
 
-def _local_level(
-    starts: IntArray, squared_residuals: FloatArray, frames: int
+def _local_noise(
+    starts: IntArray, squared_residuals: FloatArray, count: int
 ) -> FloatArray:
-    """Return each frame's local noise level over the typical level ``(F,)``."""
-    next_span = np.searchsorted(starts, np.arange(frames))
-    window_start = np.maximum(next_span - FIT_WINDOW, 0)
-    window_end = np.minimum(next_span + FIT_WINDOW, len(starts))
+    """Return each frame's local noise variance over the typical one, at least 1."""
+    next_spans = np.searchsorted(starts, np.arange(count))
+    window_start = np.maximum(next_spans - LOCAL_WINDOW_SPANS, 0)
+    window_end = np.minimum(next_spans + LOCAL_WINDOW_SPANS, len(starts))
     padded_residuals = np.concatenate([squared_residuals, [np.inf]])
-    window_length = 2 * FIT_WINDOW
+    window_length = 2 * LOCAL_WINDOW_SPANS
     window_rows = window_start[:, None] + np.arange(window_length)
     is_inside = window_rows < window_end[:, None]
     window_rows = np.where(is_inside, window_rows, len(squared_residuals))
     windows = np.sort(padded_residuals[window_rows], axis=1)
-    quantile_index = (FIT_QUANTILE * (window_end - window_start)).astype(np.int64)
-    level = windows[np.arange(frames), np.minimum(quantile_index, window_length - 1)]
+    quantile_index = (LOCAL_QUANTILE * (window_end - window_start)).astype(np.int64)
+    levels = windows[np.arange(count), np.minimum(quantile_index, window_length - 1)]
     # That quantile of a chi-squared distribution with 3 degrees, over 3, is below 0.63.
-    return np.maximum(np.where(np.isfinite(level), level / 0.63, 1.0), 1.0)
+    return np.maximum(np.where(np.isfinite(levels), levels / 0.63, 1.0), 1.0)
 
 
-def _noise_model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArray]:
+def _noise_model(path: FloatArray, is_known: BoolArray) -> tuple[float, FloatArray]:
     """Return the roughness of a motion, and the prediction noise by span length [m].
 
     The roughness is the one that predicts positions best from nearby positions.
@@ -201,17 +203,17 @@ def _noise_model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArra
     best_level = (np.inf, ROUGHNESS_LEVELS[0])
     for roughness in ROUGHNESS_LEVELS:
         _, deviation, _, _ = _span_deviations(
-            path, visible, 2, roughness, complete=True
+            path, is_known, 2, roughness, is_complete=True
         )
         if len(deviation):
             best_level = min(best_level, (float(np.median(deviation)), roughness))
     noise = np.zeros(MAX_SPIKE_FRAMES)
     for length in range(1, MAX_SPIKE_FRAMES + 1):
         starts, _, gain, _ = _span_deviations(
-            path, visible, length, best_level[1], complete=True
+            path, is_known, length, best_level[1], is_complete=True
         )
         if not len(starts):
-            starts, _, gain, _ = _span_deviations(path, visible, length, best_level[1])
+            starts, _, gain, _ = _span_deviations(path, is_known, length, best_level[1])
         if len(starts):
             # The median of a chi-squared distribution with k degrees is about k - 2/3.
             noise[length - 1] = np.sqrt(np.median(gain) / (3 * length - 2 / 3))
@@ -221,74 +223,76 @@ def _noise_model(path: FloatArray, visible: BoolArray) -> tuple[float, FloatArra
 
 def _span_deviations(
     path: FloatArray,
-    visible: BoolArray,
+    is_known: BoolArray,
     length: int,
     roughness: float,
     *,
-    complete: bool = False,
+    is_complete: bool = False,
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
-    """Return spans, and their deviations from the smooth curve through nearby frames.
+    """Compare all spans of a length with the smooth curve through nearby frames.
 
-    The first frames ``(S,)`` of the spans; the smallest deviation among each span's
-    frames [m]; the drop in the fit's sum of squares when the span is left out [m^2];
-    and the mean square of the residuals. complete: Only spans with all frames around
-    visible.
+    Return the first frames ``(S,)`` of the spans; the smallest deviation among each
+    span's frames [m]; the drop in the fit's sum of squares when the span is left out
+    [m^2]; and the mean square of the residuals. is_complete: Whether to omit spans
+    with a hidden frame around.
     """
-    size = length + 2 * SUPPORT_FRAMES
+    window_size = length + 2 * SUPPORT_FRAMES
     padded_mask = np.zeros(len(path) + 2 * SUPPORT_FRAMES, bool)
-    padded_mask[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = visible
-    windows = np.lib.stride_tricks.sliding_window_view(padded_mask, size)
+    padded_mask[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = is_known
+    windows = np.lib.stride_tricks.sliding_window_view(padded_mask, window_size)
     is_span = windows[:, SUPPORT_FRAMES : SUPPORT_FRAMES + length].all(axis=1)
     is_visible_around = np.concatenate(
         [windows[:, :SUPPORT_FRAMES], windows[:, SUPPORT_FRAMES + length :]], axis=1
     )
     support_count = is_visible_around.sum(axis=1)
-    is_span &= support_count >= (2 * SUPPORT_FRAMES if complete else MIN_SUPPORT)
+    is_span &= support_count >= (2 * SUPPORT_FRAMES if is_complete else MIN_SUPPORT)
     starts = np.flatnonzero(is_span)
     padded_path = np.zeros((len(path) + 2 * SUPPORT_FRAMES, 3))
     padded_path[SUPPORT_FRAMES : SUPPORT_FRAMES + len(path)] = path
     visibility_codes = is_visible_around[starts] @ (1 << np.arange(2 * SUPPORT_FRAMES))
     deviations, gain, residuals = (np.zeros(len(starts)) for _ in range(3))
-    for code in np.unique(visibility_codes).tolist():
-        rows = np.flatnonzero(visibility_codes == code)
+    for visibility_bits in np.unique(visibility_codes).tolist():
+        spans = np.flatnonzero(visibility_codes == visibility_bits)
         offsets, weights, inverse, quadratic_form = _prediction_weights(
-            code, length, roughness
+            visibility_bits, length, roughness
         )
-        support_positions = padded_path[starts[rows][:, None] + offsets]  # (S, K, 3)
-        span_starts = starts[rows][:, None] + SUPPORT_FRAMES
+        support_positions = padded_path[starts[spans][:, None] + offsets]  # (S, K, 3)
+        span_starts = starts[spans][:, None] + SUPPORT_FRAMES
         span_positions = padded_path[span_starts + np.arange(length)]
         prediction_error = span_positions - weights @ support_positions
-        gain[rows] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
-        deviations[rows] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
+        gain[spans] = (prediction_error * (inverse @ prediction_error)).sum(axis=(1, 2))
+        deviations[spans] = np.sqrt((prediction_error**2).sum(axis=2)).min(axis=1)
         products = support_positions * (quadratic_form @ support_positions)
         remaining_squares = products.sum(axis=(1, 2))
-        residuals[rows] = remaining_squares / max(1, len(offsets) - CURVE_DEGREE - 1)
+        residuals[spans] = remaining_squares / max(1, len(offsets) - CURVE_DEGREE - 1)
     return starts, deviations, gain, residuals
 
 
 @lru_cache(maxsize=4096)
 def _prediction_weights(
-    code: int, length: int, roughness: float
+    visibility_bits: int, length: int, roughness: float
 ) -> tuple[IntArray, FloatArray, FloatArray, FloatArray]:
     """Return the weights with which positions around a span predict its positions.
 
-    code: Bit mask of the visible frames around. Returns their indices in the window,
-    their weights, the inverse variance of the prediction error, and the quadratic form
-    of their residuals.
+    visibility_bits: Bit mask of the visible frames around. Returns their indices in the
+    window, their weights, the inverse variance of the prediction error, and the
+    quadratic form of their residuals.
     """
-    span = np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)
-    offsets_around = np.delete(np.arange(2 * SUPPORT_FRAMES + length), span)
-    offsets = offsets_around[[bool(code >> k & 1) for k in range(2 * SUPPORT_FRAMES)]]
-    frames = np.concatenate([offsets, span]) + 1.0
+    span_offsets = np.arange(SUPPORT_FRAMES, SUPPORT_FRAMES + length)
+    offsets_around = np.delete(np.arange(2 * SUPPORT_FRAMES + length), span_offsets)
+    offsets = offsets_around[
+        [bool(visibility_bits >> k & 1) for k in range(2 * SUPPORT_FRAMES)]
+    ]
+    frames = np.concatenate([offsets, span_offsets]) + 1.0
     # White noise integrated three times: its expected curve is a quintic spline.
     earlier_frame = np.minimum(frames[:, None], frames)
     frame_distance = np.abs(frames[:, None] - frames)
-    curve = (
+    integrated_covariance = (
         earlier_frame**5 / 20.0
         + earlier_frame**4 * frame_distance / 8.0
         + earlier_frame**3 * frame_distance**2 / 12.0
     )
-    kernel = roughness * curve + np.eye(len(frames))
+    kernel = roughness * integrated_covariance + np.eye(len(frames))
     centred_frames = frames - frames.mean()
     polynomial_terms = np.vander(centred_frames / SUPPORT_FRAMES, CURVE_DEGREE + 1)
     support_count = len(offsets)

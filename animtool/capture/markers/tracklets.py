@@ -10,7 +10,7 @@ from animtool.core.record import dataclass
 # A marker on a throwing hand accelerates by about 100 g [m/s^2].
 MAX_ACCELERATION = 1000.0
 # Noise of two positions, and of the speed between them [m].
-NOISE = 0.004
+STEP_NOISE = 0.004
 # Largest speed of a marker [m/s], which limits the reach of a new point.
 MAX_SPEED = 12.0
 # Number of past frames that predict the next position.
@@ -19,7 +19,7 @@ PAST_FRAMES = 3
 
 @dataclass(frozen=True, slots=True)
 class Tracklets:
-    """Points of a cloud joined to gapless runs."""
+    """Gapless runs of a point cloud: each follows one point from frame to frame."""
 
     ids: IntArray  # run of each point in each frame ``(F, P)``; -1 if not visible
     first: IntArray  # first frame of each run ``(T,)``
@@ -28,12 +28,12 @@ class Tracklets:
     def trajectory(self, positions: FloatArray, run: int) -> FloatArray:
         """Return the positions of a run from first to last frame ``(L, 3)``."""
         frames = slice(int(self.first[run]), int(self.last[run]) + 1)
-        slots = (self.ids[frames] == run).argmax(axis=1)
-        return np.asarray(positions[frames][np.arange(len(slots)), slots])
+        indices = (self.ids[frames] == run).argmax(axis=1)
+        return np.asarray(positions[frames][np.arange(len(indices)), indices])
 
 
 def track_points(positions: FloatArray, rate: float) -> Tracklets:
-    """Track points frame by frame; return their gapless runs.
+    """Join the points of a cloud to gapless runs, frame by frame.
 
     A point continues a run if each is the other's nearest, within the reach of a
     marker's acceleration, and clearly nearer than any second candidate. Ambiguous
@@ -43,89 +43,91 @@ def track_points(positions: FloatArray, rate: float) -> Tracklets:
     """
     from scipy.spatial.distance import cdist
 
-    frames, count, _ = positions.shape
-    visible = np.asarray(np.isfinite(positions).all(axis=-1))
-    ids = np.full((frames, count), -1)
+    frame_count, point_count, _ = positions.shape
+    is_visible = np.asarray(np.isfinite(positions).all(axis=-1))
+    ids = np.full((frame_count, point_count), -1)
     first: list[int] = []
     last: list[int] = []
-    max_step = NOISE + MAX_ACCELERATION / rate**2
-    max_first_step = NOISE + MAX_SPEED / rate
+    max_step = STEP_NOISE + MAX_ACCELERATION / rate**2
+    max_first_step = STEP_NOISE + MAX_SPEED / rate
     # Latest positions of the open runs, newest first.
     past_positions = np.zeros((0, PAST_FRAMES, 3))
     run_ages = np.zeros(0, np.int64)
     open_run_ids = np.zeros(0, np.int64)
-    for frame in range(frames):
-        slots = np.flatnonzero(visible[frame])
-        points = positions[frame, slots]
-        expected, radius = _expected_positions(
+    for frame in range(frame_count):
+        point_indices = np.flatnonzero(is_visible[frame])
+        points = positions[frame, point_indices]
+        expected_positions, max_distances = _expected_positions(
             past_positions, run_ages, max_step, max_first_step
         )
-        relative_distance = cdist(expected, points) / radius[:, None]
-        run, point = _mutual_nearest(relative_distance)
-        row_of_slot = np.full(len(slots), -1)
-        row_of_slot[point] = run
-        is_continued = row_of_slot >= 0
+        relative_distance = cdist(expected_positions, points) / max_distances[:, None]
+        run_rows, point_rows = _mutual_nearest(relative_distance)
+        row_of_point = np.full(len(point_indices), -1)
+        row_of_point[point_rows] = run_rows
+        is_continued = row_of_point >= 0
         new_runs = np.arange(int((~is_continued).sum())) + len(first)
-        run_ids = np.empty(len(slots), np.int64)
-        run_ids[is_continued] = open_run_ids[row_of_slot[is_continued]]
+        run_ids = np.empty(len(point_indices), np.int64)
+        run_ids[is_continued] = open_run_ids[row_of_point[is_continued]]
         run_ids[~is_continued] = new_runs
         first += [frame] * len(new_runs)
         last += [frame] * len(new_runs)
         for run_id in run_ids[is_continued].tolist():
             last[run_id] = frame
-        ids[frame, slots] = run_ids
-        next_positions = np.zeros((len(slots), PAST_FRAMES, 3))
+        ids[frame, point_indices] = run_ids
+        next_positions = np.zeros((len(point_indices), PAST_FRAMES, 3))
         next_positions[:, 0] = points
-        rows = row_of_slot[is_continued]
+        rows = row_of_point[is_continued]
         next_positions[is_continued, 1:] = past_positions[rows, :-1]
-        new_age = np.ones(len(slots), np.int64)
-        new_age[is_continued] = np.minimum(run_ages[rows] + 1, PAST_FRAMES)
-        past_positions, run_ages, open_run_ids = next_positions, new_age, run_ids
+        next_ages = np.ones(len(point_indices), np.int64)
+        next_ages[is_continued] = np.minimum(run_ages[rows] + 1, PAST_FRAMES)
+        past_positions, run_ages, open_run_ids = next_positions, next_ages, run_ids
     return Tracklets(ids, np.array(first, np.int64), np.array(last, np.int64))
 
 
 def _expected_positions(
-    past_positions: FloatArray, age: IntArray, max_step: float, max_first_step: float
+    past_positions: FloatArray, ages: IntArray, max_step: float, max_first_step: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return each run's expected next position, and its tolerance [m]."""
+    """Extrapolate each run by one frame: positions ``(R, 3)``, and tolerances [m].
+
+    past_positions: The latest ``(R, 3, 3)``, newest first. run_ages: Number known.
+    """
     current, previous, before_previous = np.moveaxis(past_positions, 1, 0)
     linear_prediction = 2.0 * current - previous
     # Halfway to a parabola: a full parabola has seven times the noise.
     parabola = linear_prediction + 3.0 * current - 3.0 * previous + before_previous
     quadratic_prediction = 0.5 * parabola
-    expected = np.where(
-        (age >= 3)[:, None],
+    expected_positions = np.where(
+        (ages >= 3)[:, None],
         quadratic_prediction,
-        np.where((age == 2)[:, None], linear_prediction, current),
+        np.where((ages == 2)[:, None], linear_prediction, current),
     )
-    return expected, np.where(age == 1, max_first_step, max_step)
+    return expected_positions, np.where(ages == 1, max_first_step, max_step)
 
 
 # A second candidate is no rival if it is this many times farther away.
-RIVAL_RATIO = 2.0
+MIN_RIVAL_RATIO = 2.0
 # Positions nearer than this fraction of the reach are equal.
 EQUAL_DISTANCE = 0.05
 
 
-def _mutual_nearest(relative_distance: FloatArray) -> tuple[IntArray, IntArray]:
-    """Return pairs of run and point that are mutually nearest, without rivals.
+def _mutual_nearest(distances: FloatArray) -> tuple[IntArray, IntArray]:
+    """Return indices of runs and points that are each other's only near candidate.
 
-    relative_distance: Distances over the tolerance ``(R, P)``.
+    distances: Distances over the tolerance ``(R, P)``.
     """
-    if not relative_distance.size:
+    if not distances.size:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
-    nearest_point = relative_distance.argmin(axis=1)
-    by_point = relative_distance.argmin(axis=0)
-    run = np.flatnonzero(by_point[nearest_point] == np.arange(len(relative_distance)))
-    point = nearest_point[run]
-    nearest = relative_distance[run, point]
+    nearest_point = distances.argmin(axis=1)
+    nearest_run = distances.argmin(axis=0)
+    runs = np.flatnonzero(nearest_run[nearest_point] == np.arange(len(distances)))
+    points = nearest_point[runs]
+    nearest = distances[runs, points]
     second_distance = np.minimum(
-        _second_smallest(relative_distance)[run],
-        _second_smallest(relative_distance.T)[point],
+        _second_smallest(distances)[runs], _second_smallest(distances.T)[points]
     )
-    rival_distance = RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
+    rival_distance = MIN_RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
     is_clear = (nearest <= 1.0) & (second_distance > rival_distance)
-    return run[is_clear], point[is_clear]
+    return runs[is_clear], points[is_clear]
 
 
 def _second_smallest(relative_distance: FloatArray) -> FloatArray:

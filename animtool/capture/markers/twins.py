@@ -16,26 +16,26 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
 # Exchanges with more evidence against them are ignored [nat].
-MAX_OPPOSITION = 6.0
+MAX_COUNTER_EVIDENCE = 6.0
 # Number of neighbours; any two of them define a frame with the exchanged markers.
 NEIGHBOUR_COUNT = 5
 # Two pairs this near each other are exchanged together [m].
-NEAR_DISTANCE = 0.26
+PAIR_DISTANCE = 0.26
 # Number of sampled frames, the fraction of them nearest to the trial's pose [1], and
 # their minimum number.
-SAMPLED_FRAMES, BEST_FRACTION, MIN_SAMPLES = 120, 0.1, 8
+SAMPLED_FRAME_COUNT, BEST_FRAME_FRACTION, MIN_COMPLETE_FRAMES = 120, 0.1, 8
 # Shape error from noise alone [m], and evidence against a shape per factor e of its
 # error [nat].
 SHAPE_NOISE, SHAPE_EVIDENCE = 0.001, 10.0
 # Minimum gain of an exchange, and of an exchange in doubt [nat].
 MIN_GAIN, MIN_DOUBT_GAIN = 0.05, -0.8
 # Minimum gain in part of a take [nat].
-MIN_PART_GAIN = 2.0
-MAX_EXCHANGES = 12
+MIN_SPAN_GAIN = 2.0
+MAX_EXCHANGE_ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class Exchange:
+class NameExchange:
     """A swap of marker names that fits the take about as well as the chosen names."""
 
     markers: tuple[int, ...]  # the exchanged markers
@@ -43,38 +43,41 @@ class Exchange:
 
 
 def distinguish_twins(
-    positions: FloatArray, shape: FloatArray
-) -> tuple[IntArray, list[Exchange], list[tuple[int, int]]]:
-    """Return the name of each marker ``(M,)``, and the exchanges that stay in doubt.
+    positions: FloatArray, rest_shape: FloatArray
+) -> tuple[IntArray, list[NameExchange], list[tuple[int, int]]]:
+    """Exchange the names of similar markers if distances and shapes fit better.
 
-    The last list has the pairs that distances cannot distinguish, by final names.
+    Return the new name of each marker ``(M,)``, the exchanges that stay in doubt, and
+    the pairs that distances cannot distinguish, by final names.
 
     Exchanges that distances do not rule out are compared by distances and by shape: the
     error of the rest shape on the points, with any two neighbouring markers, in the
     best frames, rotated but not mirrored.
 
-    positions: By current names ``(F, M, 3)``. shape: At rest ``(M, 3)`` [m].
+    positions: By current names ``(F, M, 3)``. rest_shape: ``(M, 3)`` [m].
     """
-    rest = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
-    visible = np.isfinite(positions[..., 0]).astype(np.float64)
-    overlap = visible.T @ visible
-    fraction = overlap / max(1.0, float(overlap.max()))
-    np.fill_diagonal(fraction, 0.0)
-    pair_scores = compute_pair_evidence(marker_distances(positions), fraction, rest)
-    exchanges = _drop_unrelated(find_exchanges(rest), rest)
-    names = np.arange(len(shape))
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
+    is_visible = np.isfinite(positions[..., 0]).astype(np.float64)
+    overlap = is_visible.T @ is_visible
+    overlap_fraction = overlap / max(1.0, float(overlap.max()))
+    np.fill_diagonal(overlap_fraction, 0.0)
+    pair_scores = compute_pair_evidence(
+        marker_distances(positions), overlap_fraction, rest_lengths
+    )
+    exchanges = _drop_unrelated(find_exchanges(rest_lengths), rest_lengths)
+    names = np.arange(len(rest_shape))
     shape_cache: dict[tuple[int, ...], float] = {}
-    doubtful_exchanges: list[Exchange] = []
+    doubtful_exchanges: list[NameExchange] = []
     doubtful_pairs: list[tuple[int, int]] = []
-    for _ in range(MAX_EXCHANGES):
-        single_scores = np.zeros(rest.shape)
+    for _ in range(MAX_EXCHANGE_ROUNDS):
+        single_scores = np.zeros(rest_lengths.shape)
         for marker, name in enumerate(names.tolist()):
             single_scores += pair_scores[:, marker, :, name]
         best_names, best_gain = None, MIN_GAIN
         doubtful_exchanges, doubtful_pairs = [], []
         for old, new in exchanges:
             gains = compute_exchange_gains(pair_scores, single_scores, names, old, new)
-            for row in np.flatnonzero(gains > -MAX_OPPOSITION).tolist():
+            for row in np.flatnonzero(gains > -MAX_COUNTER_EVIDENCE).tolist():
                 if old.shape[1] == 2:
                     a, b = names[old[row]].tolist()
                     doubtful_pairs.append((a, b))
@@ -83,8 +86,8 @@ def distinguish_twins(
                 score = float(gains[row])
                 score += SHAPE_EVIDENCE * _shape_evidence(
                     positions,
-                    shape,
-                    rest,
+                    rest_shape,
+                    rest_lengths,
                     old[row].tolist(),
                     names,
                     changed_names,
@@ -94,7 +97,7 @@ def distinguish_twins(
                     best_names, best_gain = changed_names, score
                 elif score > MIN_DOUBT_GAIN:
                     markers = tuple(sorted(names[old[row]].tolist()))
-                    doubtful_exchanges.append(Exchange(markers, min(score, 0.0)))
+                    doubtful_exchanges.append(NameExchange(markers, min(score, 0.0)))
         if best_names is None:
             break
         names = best_names
@@ -102,47 +105,49 @@ def distinguish_twins(
 
 
 def is_exchanged(
-    positions: FloatArray, shape: FloatArray, pair: tuple[int, int]
+    positions: FloatArray, rest_shape: FloatArray, pair: tuple[int, int]
 ) -> bool:
     """Return whether shapes clearly show two markers exchanged in some frames.
 
     positions: Positions in these frames, by current names ``(F, M, 3)``.
     """
-    names = np.arange(len(shape))
+    names = np.arange(len(rest_shape))
     exchanged_names = names.copy()
     exchanged_names[list(pair)] = pair[::-1]
-    rest_distances = np.linalg.norm(shape[:, None] - shape[None], axis=-1)
+    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     shape_evidence = _shape_evidence(
-        positions, shape, rest_distances, list(pair), names, exchanged_names, {}
+        positions, rest_shape, rest_lengths, list(pair), names, exchanged_names, {}
     )
-    return SHAPE_EVIDENCE * shape_evidence > MIN_PART_GAIN
+    return SHAPE_EVIDENCE * shape_evidence > MIN_SPAN_GAIN
 
 
 def _drop_unrelated(
-    exchanges: list[tuple[IntArray, IntArray]], rest_distances: FloatArray
+    exchanges: list[tuple[IntArray, IntArray]], rest_lengths: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
     """Drop double exchanges of two pairs that do not affect each other's distances."""
     near_exchanges = []
     for old, new in exchanges:
         is_near = np.ones(len(old), bool)
         if old.shape[1] == 4:
-            pair_distances = rest_distances[old[:, :2, None], old[:, None, 2:]]
-            is_near = pair_distances.min(axis=(1, 2)) < NEAR_DISTANCE
+            pair_distances = rest_lengths[old[:, :2, None], old[:, None, 2:]]
+            is_near = pair_distances.min(axis=(1, 2)) < PAIR_DISTANCE
         near_exchanges.append((old[is_near], new[is_near]))
     return near_exchanges
 
 
 def _shape_evidence(
     positions: FloatArray,
-    shape: FloatArray,
-    rest: FloatArray,
+    rest_shape: FloatArray,
+    rest_lengths: FloatArray,
     changed_markers: list[int],
     current_names: IntArray,
     other_names: IntArray,
     cache: dict[tuple[int, ...], float],
 ) -> float:
-    """Return the mean evidence of rest shapes for an exchange of names [nat]."""
-    distances = rest[current_names[changed_markers]][:, current_names].min(axis=0)
+    """Return the mean log ratio of shape errors, before over after an exchange."""
+    distances = rest_lengths[current_names[changed_markers]][:, current_names].min(
+        axis=0
+    )
     distances[changed_markers] = np.inf
     nearest = np.argsort(distances, kind="stable")[:NEIGHBOUR_COUNT]
     ratios = []
@@ -152,7 +157,7 @@ def _shape_evidence(
         for names in (current_names, other_names):
             key = (*group, *names[group].tolist())
             if key not in cache:
-                cache[key] = _shape_error(positions, group, shape[names[group]])
+                cache[key] = _shape_error(positions, group, rest_shape[names[group]])
             errors.append(cache[key])
         if np.isfinite(errors).all():
             ratios.append(np.log((errors[0] + SHAPE_NOISE) / (errors[1] + SHAPE_NOISE)))
@@ -160,12 +165,12 @@ def _shape_evidence(
 
 
 def _shape_error(positions: FloatArray, group: list[int], shape: FloatArray) -> float:
-    """Return the rigid fit error of a shape in the best-fitting frames [m]."""
+    """Return a group's mean rigid fit error in the best-fitting frames [m]."""
     points = positions[:, group]
-    complete_frames = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
-    if len(complete_frames) < MIN_SAMPLES:
+    frame_indices = np.flatnonzero(np.isfinite(points).all(axis=(1, 2)))
+    if len(frame_indices) < MIN_COMPLETE_FRAMES:
         return np.inf
-    points = points[complete_frames[:: max(1, len(complete_frames) // SAMPLED_FRAMES)]]
-    error = np.sqrt(mean_square_errors(points, shape))
-    count = max(1, int(BEST_FRACTION * len(error)))
-    return float(np.partition(error, count - 1)[:count].mean())
+    points = points[frame_indices[:: max(1, len(frame_indices) // SAMPLED_FRAME_COUNT)]]
+    shape_errors = np.sqrt(mean_square_errors(points, shape))
+    best_count = max(1, int(BEST_FRAME_FRACTION * len(shape_errors)))
+    return float(np.partition(shape_errors, best_count - 1)[:best_count].mean())

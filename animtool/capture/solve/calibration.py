@@ -19,16 +19,16 @@ from animtool.capture.options import SolveOptions
 from animtool.capture.solve.model import (
     MIN_MARKERS,
     MarkerProblem,
-    marker_model,
-    visible_markers,
+    build_marker_problem,
+    visibility_mask,
 )
 from animtool.capture.solve.run import check_units, positions_in_rig_axes
 from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
+    fullest_frames,
+    independent_poses,
     marker_residuals,
-    sampled_frames,
-    sampled_poses,
-    typical_noise,
+    residual_noise,
 )
 from animtool.capture.templates.match import match_markers
 from animtool.capture.templates.template import MarkerTemplate
@@ -39,6 +39,7 @@ from animtool.ik.chain import joint_steps
 from animtool.ik.fit import FitOptions, fit
 from animtool.ik.solving import pack_for_chain
 from animtool.motion.markers import Markers
+from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import JointType, Pose, Rig
@@ -131,12 +132,12 @@ def calibrate(
     """
     options = options or SolveOptions()
     solver = _CalibrationState(markers, rig, template, static, options)
-    rounds, converged = solver.run()
-    return solver.build_result(rounds, converged)
+    rounds, has_converged = solver.run()
+    return solver.build_result(rounds, has_converged)
 
 
 class _CalibrationState:
-    """State of a calibration: bone scales, marker offsets and poses."""
+    """A calibration in progress: bone scales, marker offsets and noise."""
 
     def __init__(
         self,
@@ -148,43 +149,45 @@ class _CalibrationState:
     ) -> None:
         self.template, self.options = template, options
         match = match_markers(template, markers.names, options.subject)
-        model = marker_model(rig, template, match.columns)
-        self.model = model.with_bones(unlimited_rig(model), model.offsets)
+        model = build_marker_problem(rig, template, match.columns)
+        self.model = model.with_bones(rig_without_limits(model), model.offsets)
         self.source_rig = rig
         motion = positions_in_rig_axes(rig, markers)[:, self.model.columns]
-        parts = [motion[sampled_frames(motion, MOTION_FRAMES)]]
+        samples = [motion[fullest_frames(motion, MOTION_FRAMES)]]
         if static is not None:
-            static_frames = self._to_model_order(
+            static_motion = self._to_model_order(
                 positions_in_rig_axes(rig, static), static.names
             )
-            parts.insert(0, static_frames[sampled_frames(static_frames, STATIC_FRAMES)])
-        self.static_frames = 0 if static is None else len(parts[0])
-        self.positions = np.concatenate(parts)
+            samples.insert(
+                0, static_motion[fullest_frames(static_motion, STATIC_FRAMES)]
+            )
+        self.static_count = 0 if static is None else len(samples[0])
+        self.positions = np.concatenate(samples)
         if len(self.positions) < MIN_FRAMES:
             message = f"{len(self.positions)} frames have at least {MIN_MARKERS} "
             message += "markers"
             refuse("SOL006", message, hint=f"a calibration needs {MIN_FRAMES}")
         check_units(self.model, self.positions, self.model.template)
         # The joints whose bones scale independently: all but roots.
-        self.bones = [
+        self.bone_joints = [
             j
             for j, joint in enumerate(self.model.rig.joints)
             if joint.parent >= 0 and any(joint.translation)
         ]
         self.base_translations = self.model.rig.rest_translations
         self.initial_offsets = self.model.offsets
-        self.scales = np.full(len(self.bones), self._size_ratio())
+        self.scales = np.full(len(self.bone_joints), self._size_ratio())
         template_markers = self.model.template.markers
         self.is_fixed_offset = np.array([m.fixed for m in template_markers], np.bool_)
         marker_scales = np.where(self.is_fixed_offset, 1.0, self.scales[0])
         self.offsets = marker_scales[:, None] * self.initial_offsets
         self.noise = np.full(len(self.model.joints), max(GENERIC_NOISE, options.noise))
-        self.scale_certainty = np.zeros(len(self.bones))
+        self.scale_certainty = np.zeros(len(self.bone_joints))
 
     def _to_model_order(
         self, positions: FloatArray, names: tuple[str, ...]
     ) -> FloatArray:
-        """Reorder the markers of another take to the order of the model."""
+        """Return another take's markers in the order of the model ``(F, E, 3)``."""
         match = match_markers(self.model.template, names, self.options.subject)
         ordered_positions = np.full((len(positions), len(match.columns), 3), np.nan)
         is_captured = match.columns >= 0
@@ -192,16 +195,16 @@ class _CalibrationState:
         return ordered_positions
 
     def _size_ratio(self) -> float:
-        """Return the ratio of the subject's size to the rig's."""
-        if self.static_frames == 0:
+        """Return the subject's size over the rig's, from the static take; else 1."""
+        if self.static_count == 0:
             return 1.0
-        frames = self.positions[: self.static_frames]
+        frames = self.positions[: self.static_count]
         rest_points = self.model.points(self.model.start_poses(frames))
-        visible = visible_markers(frames)[:, :, None]
+        is_visible = visibility_mask(frames)[:, :, None]
 
         def spread(points: FloatArray) -> float:
-            """Return the median distance of markers from their centre."""
-            visible_points = np.where(visible, points, np.nan)
+            """Return the mean standard deviation of visible coordinates in a frame."""
+            visible_points = np.where(is_visible, points, np.nan)
             return float(np.nanstd(visible_points, axis=1).mean())
 
         return min(max(spread(frames) / max(spread(rest_points), 1e-9), 0.2), 5.0)
@@ -209,22 +212,22 @@ class _CalibrationState:
     def run(self) -> tuple[int, bool]:
         """Iterate to convergence; return the step count and whether it converged."""
         self._rebuild_model()
-        poses = sampled_poses(self.model, self.positions, self.noise)
-        for round_ in range(MAX_STEPS):
+        poses = independent_poses(self.model, self.positions, self.noise)
+        for step_index in range(MAX_STEPS):
             poses = self._fit_poses(poses)
             step = self._solve_step(poses)
-            scale_steps, offset_steps = step[: len(self.bones)], step[len(self.bones) :]
+            scale_steps, offset_steps = np.split(step, [len(self.bone_joints)])
             self.scales = np.clip(self.scales + scale_steps, 0.1, 10.0)
             self.offsets = self.offsets + offset_steps.reshape(-1, 3)
             self._rebuild_model()
             if np.abs(step).max(initial=0) < CONVERGED_STEP:
-                return round_ + 1, True
+                return step_index + 1, True
         return MAX_STEPS, False
 
     def _rebuild_model(self) -> None:
-        """Rebuild the model from the current bone scales and offsets."""
+        """Set the model's bones and marker offsets to the current estimates."""
         rig, joints = self.model.rig, list(self.model.rig.joints)
-        for j, scale in zip(self.bones, self.scales.tolist(), strict=True):
+        for j, scale in zip(self.bone_joints, self.scales.tolist(), strict=True):
             x, y, z = (scale * self.base_translations[j]).tolist()
             joints[j] = replace(joints[j], translation=(x, y, z))
         rig = replace(rig, joints=tuple(joints))
@@ -235,8 +238,8 @@ class _CalibrationState:
         options = FitOptions(1.0, math.inf, robust=ROBUST_DEVIATIONS, rounds=6)
         targets = self.model.targets(self.positions, self.noise)
         pose_fit = fit(self.model.problem, targets, poses, options, path=poses)
-        misses = marker_residuals(self.model, pose_fit.coordinates, self.positions)
-        deviations = typical_noise(misses, self.options.noise)
+        residuals = marker_residuals(self.model, pose_fit.coordinates, self.positions)
+        deviations = residual_noise(residuals, self.options.noise)
         # Halved at most: markers that are far off at first must not be rejected.
         self.noise = np.minimum(self.noise, np.maximum(deviations, self.noise / 2))
         return pose_fit.coordinates
@@ -246,24 +249,24 @@ class _CalibrationState:
         problem, model = self.model.problem, self.model
         targets = pack_for_chain(problem, model.targets(self.positions, self.noise))
         chain = problem.chain
-        count, degrees = len(poses), problem.degrees
+        frame_count, dof_count = len(poses), problem.degrees
         _, residuals, jacobian, _ = _kernels.linearize_ik(
             *chain.kernel_arrays,
             starts=chain.from_rig(poses),
             targets=targets,
-            steps=np.zeros((count, degrees)),
+            steps=np.zeros((frame_count, dof_count)),
         )
         derivatives = self._marker_derivatives(poses)
-        distances = np.linalg.norm(residuals.reshape(count, -1, 3), axis=2)
-        weight = np.repeat(1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1)
-        residuals = residuals * weight
-        jacobian = jacobian * weight[:, :, None]
-        derivatives = derivatives * weight[:, :, None]
+        distances = np.linalg.norm(residuals.reshape(frame_count, -1, 3), axis=2)
+        weights = np.repeat(1 / (1 + (distances / ROBUST_DEVIATIONS) ** 2), 3, axis=1)
+        residuals = residuals * weights
+        jacobian = jacobian * weights[:, :, None]
+        derivatives = derivatives * weights[:, :, None]
         transposed_jacobian = np.swapaxes(jacobian, 1, 2)
         pose_matrix = transposed_jacobian @ jacobian
-        pose_precision = np.full((count, degrees), MOTION_POSE_DEVIATION**-2.0)
-        pose_precision[: self.static_frames] = STATIC_POSE_DEVIATION**-2.0
-        pose_matrix += np.eye(degrees) * pose_precision[:, :, None]
+        pose_precision = np.full((frame_count, dof_count), MOTION_POSE_DEVIATION**-2.0)
+        pose_precision[: self.static_count] = STATIC_POSE_DEVIATION**-2.0
+        pose_matrix += np.eye(dof_count) * pose_precision[:, :, None]
         # Parameters and residuals with the poses eliminated.
         mixed_terms = transposed_jacobian @ derivatives
         eliminated_columns = np.linalg.solve(pose_matrix, mixed_terms)
@@ -273,15 +276,15 @@ class _CalibrationState:
         shared_jacobian = derivatives.reshape(-1, derivatives.shape[2])
         mixed_terms = mixed_terms.reshape(-1, derivatives.shape[2])
         eliminated_columns = eliminated_columns.reshape(mixed_terms.shape)
-        matrix = (
+        normal_matrix = (
             shared_jacobian.T @ shared_jacobian - mixed_terms.T @ eliminated_columns
         )
         gradient = shared_jacobian.T @ residuals.ravel()
         gradient = gradient - mixed_terms.T @ pose_step.ravel()
-        prior, prior_gradient = self._prior_equations()
-        bone_precision = np.diag(matrix)[: len(self.bones)]
+        prior_matrix, prior_gradient = self._prior_equations()
+        bone_precision = np.diag(normal_matrix)[: len(self.bone_joints)]
         self.scale_certainty = bone_precision / (bone_precision + BONE_DEVIATION**-2.0)
-        return np.linalg.solve(matrix + prior, gradient + prior_gradient)
+        return np.linalg.solve(normal_matrix + prior_matrix, gradient + prior_gradient)
 
     def _deviation_from_rest(self, poses: FloatArray) -> FloatArray:
         """Return the deviation of poses from rest ``(F, D)``, root motion excluded."""
@@ -296,28 +299,31 @@ class _CalibrationState:
     def _marker_derivatives(self, poses: FloatArray) -> FloatArray:
         """Return the Jacobian of weighted marker positions ``(F, 3 E, B + 3 E)``."""
         model, rig = self.model, self.model.rig
-        local = model.local_transforms(poses)
+        local = local_from_coordinates(rig, poses)
         world = forward_kinematics(rig, local.translations, local.rotations)
-        count, markers = len(poses), len(model.joints)
-        derivatives = np.zeros((count, markers, 3, len(self.bones) + 3 * markers))
-        is_above = np.zeros((markers, len(rig.joints)), np.bool_)
+        frame_count, marker_count = len(poses), len(model.joints)
+        derivatives = np.zeros(
+            (frame_count, marker_count, 3, len(self.bone_joints) + 3 * marker_count)
+        )
+        is_above = np.zeros((marker_count, len(rig.joints)), np.bool_)
         for e, j in enumerate(model.joints.tolist()):
             is_above[e, rig.upwards(j)] = True
-        for b, j in enumerate(self.bones):
-            bone = world.linear[:, rig.joints[j].parent] @ self.base_translations[j]
-            derivatives[:, is_above[:, j], :, b] += bone
+        for b, j in enumerate(self.bone_joints):
+            vectors = world.linear[:, rig.joints[j].parent] @ self.base_translations[j]
+            derivatives[:, is_above[:, j], :, b] += vectors
         for e, j in enumerate(model.joints.tolist()):
-            first = len(self.bones) + 3 * e
+            first = len(self.bone_joints) + 3 * e
             if not model.template.markers[e].fixed:
                 derivatives[:, e, :, first : first + 3] = world.linear[:, j]
         weights = model.template.weights / self.noise
-        visible = visible_markers(self.positions)
-        derivatives *= (visible * weights)[:, :, None, None]
-        return derivatives.reshape(count, 3 * markers, -1)
+        is_visible = visibility_mask(self.positions)
+        derivatives *= (is_visible * weights)[:, :, None, None]
+        return derivatives.reshape(frame_count, 3 * marker_count, -1)
 
     def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
-        """Return the normal equations of the prior of scales and offsets."""
-        bone_count, size = len(self.bones), len(self.bones) + self.offsets.size
+        """Return matrix and gradient of the priors on bone scales and offsets."""
+        bone_count = len(self.bone_joints)
+        size = bone_count + self.offsets.size
         matrix, gradient = np.zeros((size, size)), np.zeros(size)
         # Bones vary about an overall scale, which varies about 1 and is summed out.
         precision = np.eye(bone_count) / BONE_DEVIATION**2
@@ -356,31 +362,31 @@ class _CalibrationState:
         bone that ends there, else with all bones.
         """
         rig = self.model.rig
-        bone_joints = np.array(self.bones)
-        parents = np.array([rig.joints[j].parent for j in self.bones])
-        weights = np.zeros((len(self.model.joints), len(self.bones)))
+        joint_of_bone = np.array(self.bone_joints)
+        parents = np.array([rig.joints[j].parent for j in self.bone_joints])
+        weights = np.zeros((len(self.model.joints), len(self.bone_joints)))
         for e, j in enumerate(self.model.joints.tolist()):
-            bone_mask = parents == j if (parents == j).any() else bone_joints == j
-            weights[e, bone_mask if bone_mask.any() else slice(None)] = 1.0
+            is_bone = parents == j if (parents == j).any() else joint_of_bone == j
+            weights[e, is_bone if is_bone.any() else slice(None)] = 1.0
         return np.asarray(weights / weights.sum(axis=1, keepdims=True))
 
     def _side_pairs(self) -> list[tuple[int, int]]:
-        """Return the index pairs of left bones and their right partners."""
+        """Return pairs of a left and a right bone, as indices of `bone_joints`."""
         rig = self.model.rig
         stated_pairs = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated_pairs).partners
-        bone_of = {j: b for b, j in enumerate(self.bones)}
+        bone_of = {j: b for b, j in enumerate(self.bone_joints)}
         return [
             (bone_of[j], bone_of[k])
             for j, k in enumerate(partners.tolist())
             if j < k and j in bone_of and k in bone_of
         ]
 
-    def build_result(self, rounds: int, converged: bool) -> Calibration:
-        """Return the calibration of the final state: rig, template and statistics."""
+    def build_result(self, rounds: int, has_converged: bool) -> Calibration:
+        """Return the scaled rig, the template with new offsets, and warnings."""
         rig = self.model.rig
         scales = np.ones(len(rig.joints))
-        scales[self.bones] = self.scales
+        scales[self.bone_joints] = self.scales
         offset_of = {m.name: m.offset for m in self.model.template.markers}
         shifts = np.full(len(self.template.markers), np.nan)
         markers = list(self.template.markers)
@@ -390,13 +396,13 @@ class _CalibrationState:
                 shifts[i] = np.linalg.norm(np.subtract(offset, marker.offset))
                 markers[i] = replace(marker, offset=offset)
         notices = []
-        if not converged:
+        if not has_converged:
             message = f"the calibration did not converge in {MAX_STEPS} steps"
             hint = "a longer take, or a static one, gives more data"
             notices.append(warning("SOL104", message, hint))
         uncertain_bones = [
             rig.names[j]
-            for j, certainty in zip(self.bones, self.scale_certainty, strict=True)
+            for j, certainty in zip(self.bone_joints, self.scale_certainty, strict=True)
             if certainty < UNCERTAIN_SCALE_RATIO
         ]
         if uncertain_bones:
@@ -411,13 +417,13 @@ class _CalibrationState:
             self.noise,
             rounds,
             len(self.positions),
-            converged,
+            has_converged,
             tuple(notices),
         )
 
 
-def unlimited_rig(model: MarkerProblem) -> Rig:
-    """Return a model's rig without limits on pins that markers determine.
+def rig_without_limits(model: MarkerProblem) -> Rig:
+    """Return a rig without limits on the hinges that enough markers determine.
 
     At its limit, a joint cannot distinguish a displaced marker from its own rotation.
     """
@@ -435,7 +441,7 @@ def unlimited_rig(model: MarkerProblem) -> Rig:
 
 
 def scale_rig_bones(rig: Rig, scales: FloatArray) -> Rig:
-    """Return a rig with bones scaled ``(J,)``; surfaces stay bound.
+    """Scale the bone from its parent to each joint by ``(J,)``; meshes stay bound.
 
     The tip of a bone without a child joint scales with the joint's own bone.
     """

@@ -14,23 +14,19 @@ from animtool.ik.goals import KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.ik.sub_rig import with_ball_joints
 from animtool.maths import so3
-from animtool.rig.joints import (
-    LocalTransforms,
-    coordinate_slices,
-    local_from_coordinates,
-)
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics, rest_world
 from animtool.rig.skeleton import JointType, Rig
 
 # Minimum number of markers that determine a rotation.
 MIN_MARKERS = 3
 # Weight of a marker for the root's pose falls by this factor with each joint between.
-WEIGHT_PER_JOINT = 0.3
+WEIGHT_FALLOFF = 0.3
 
 
 @dataclass(frozen=True)
 class MarkerProblem:
-    """E markers of a template that a capture has, on a rig of Q coordinates."""
+    """The IK problem of a capture: E markers on a rig whose poses have Q numbers."""
 
     problem: Problem  # a position goal for each marker
     template: MarkerTemplate  # template of these markers only, grouped by joint
@@ -44,40 +40,46 @@ class MarkerProblem:
 
     @property
     def offsets(self) -> FloatArray:
-        """Offsets of the markers ``(E, 3)`` [m]."""
+        """Offsets of the markers in their joints' frames ``(E, 3)`` [m]."""
         return self.template.offsets
 
     def targets(self, positions: FloatArray, noise: FloatArray) -> Targets:
-        """Return the targets of markers ``(F, E, 3)`` [m], NaN where one is missing.
+        """Return IK targets for markers ``(F, E, 3)`` [m], weight 0 where they are NaN.
 
         noise: Standard deviation of each marker at weight 1 ``(E,)`` [m].
         """
-        visible = visible_markers(positions)
-        weights = np.zeros((*visible.shape, len(KINDS)))
-        weights[:, :, 0] = visible * self.template.weights * self.problem.length / noise
-        return Targets(np.where(visible[:, :, None], positions, 0.0), weights=weights)
+        is_visible = visibility_mask(positions)
+        weights = np.zeros((*is_visible.shape, len(KINDS)))
+        weights[:, :, 0] = (
+            is_visible * self.template.weights * self.problem.length / noise
+        )
+        return Targets(
+            np.where(is_visible[:, :, None], positions, 0.0), weights=weights
+        )
 
     def start_poses(self, positions: FloatArray) -> FloatArray:
         """Return rest poses ``(F, Q)`` rigidly aligned to markers ``(F, E, 3)``.
 
-        Markers near the root have the largest weights.
+        Markers near the root have the largest weights. Without a single free root, the
+        rest pose is not moved.
         """
         rig = self.rig
         coordinates = np.zeros((len(positions), self.problem.coordinates))
         slices = coordinate_slices(rig)
-        for columns, joint in zip(slices, rig.joints, strict=True):
+        for joint_columns, joint in zip(slices, rig.joints, strict=True):
             if joint.type in {JointType.BALL, JointType.FREE}:
-                coordinates[:, columns.stop - 1] = 1.0
-        root = self._root()
-        if root is None:
+                coordinates[:, joint_columns.stop - 1] = 1.0
+        roots = [j for j in rig.roots if rig.joints[j].type is JointType.FREE]
+        if len(roots) != 1:
             return coordinates
+        root = roots[0]
         depths = np.array([len(rig.upwards(j)) for j in self.joints])
-        joint_weights = WEIGHT_PER_JOINT ** (depths - depths.min())
-        visible = visible_markers(positions)
+        joint_weights = WEIGHT_FALLOFF ** (depths - depths.min())
+        is_visible = visibility_mask(positions)
         rotation, translation = fit_rigid_motions(
             self.points(coordinates[:1])[0],
-            np.where(visible[:, :, None], positions, 0.0),
-            visible * joint_weights * self.template.weights,
+            np.where(is_visible[:, :, None], positions, 0.0),
+            is_visible * joint_weights * self.template.weights,
         )
         rest_pose = rest_world(rig)
         rest_position = rest_pose.positions[0, root]
@@ -86,34 +88,25 @@ class MarkerProblem:
         world_rotation = so3.multiply(rotation, rest_rotation)
         world_position = so3.rotate(rotation, rest_position) + translation
         inverse_rest = so3.conjugate(rest_rotation)
-        columns = slices[root]
-        coordinates[:, columns.start : columns.start + 3] = so3.rotate(
+        joint_columns = slices[root]
+        coordinates[:, joint_columns.start : joint_columns.start + 3] = so3.rotate(
             inverse_rest, world_position - rest_position
         )
-        coordinates[:, columns.start + 3 : columns.stop] = so3.multiply(
+        coordinates[:, joint_columns.start + 3 : joint_columns.stop] = so3.multiply(
             inverse_rest, world_rotation
         )
         return coordinates
 
-    def _root(self) -> int | None:
-        """Return the free root joint; None if the rig is fixed to the world."""
-        roots = [j for j in self.rig.roots if self.rig.joints[j].type is JointType.FREE]
-        return roots[0] if len(roots) == 1 else None
-
-    def local_transforms(self, coordinates: FloatArray) -> LocalTransforms:
-        """Return the local transforms of poses ``(F, Q)``."""
-        return local_from_coordinates(self.rig, coordinates)
-
     def points(self, coordinates: FloatArray) -> FloatArray:
-        """Return the marker positions ``(F, E, 3)`` [m] of poses ``(F, Q)``."""
-        local = self.local_transforms(coordinates)
+        """Return the markers' world positions ``(F, E, 3)`` [m] in poses ``(F, Q)``."""
+        local = local_from_coordinates(self.rig, coordinates)
         world = forward_kinematics(self.rig, local.translations, local.rotations)
-        linear = world.linear[:, self.joints]
-        rotated_offsets = np.einsum("feij,ej->fei", linear, self.offsets)
+        joint_matrices = world.linear[:, self.joints]
+        rotated_offsets = np.einsum("feij,ej->fei", joint_matrices, self.offsets)
         return np.asarray(world.positions[:, self.joints] + rotated_offsets)
 
     def with_bones(self, rig: Rig, offsets: FloatArray) -> MarkerProblem:
-        """Return the model with new bones and offsets ``(E, 3)``."""
+        """Rebuild the problem with another rig and marker offsets ``(E, 3)`` [m]."""
         markers = tuple(
             replace(marker, offset=tuple(offset))
             for marker, offset in zip(
@@ -125,10 +118,10 @@ class MarkerProblem:
         )
 
 
-def marker_model(
+def build_marker_problem(
     rig: Rig, template: MarkerTemplate, columns: IntArray
 ) -> MarkerProblem:
-    """Return the model of the markers in a capture.
+    """Build the IK problem for the template's markers that a capture has.
 
     ``columns`` are the indices of the template's markers in the capture, -1 if missing.
     Joints without a type in the rig file rotate.
@@ -180,12 +173,12 @@ def fit_rigid_motions(
         positions - position_centre[:, None],
     )
     left_vectors, _, right_vectors = np.linalg.svd(covariance)
-    mirror = np.sign(np.linalg.det(left_vectors @ right_vectors))
-    left_vectors[:, :, 2] *= np.where(mirror == 0, 1.0, mirror)[:, None]
+    handedness = np.sign(np.linalg.det(left_vectors @ right_vectors))
+    left_vectors[:, :, 2] *= np.where(handedness == 0, 1.0, handedness)[:, None]
     rotation = so3.from_matrix(np.swapaxes(left_vectors @ right_vectors, 1, 2))
     return rotation, position_centre - so3.rotate(rotation, point_centre)
 
 
-def visible_markers(positions: FloatArray) -> BoolArray:
-    """Return a mask ``(F, E)`` of the markers ``(F, E, 3)`` that have a position."""
+def visibility_mask(positions: FloatArray) -> BoolArray:
+    """Return a mask ``(F, E)``, True where positions ``(F, E, 3)`` are not NaN."""
     return np.asarray(np.isfinite(positions).all(axis=2))

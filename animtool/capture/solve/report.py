@@ -58,57 +58,60 @@ class SolveScore:
     exchanged: list[ExchangedLabels] = field(init=False, default_factory=list)
     # Root mean square residual over all fitting markers [m].
     total: float = field(init=False, default=float("nan"))
-    _misses: FloatArray = field(init=False, repr=False)
+    _residuals: FloatArray = field(init=False, repr=False)
     _target_indices: IntArray = field(init=False, repr=False)
-    _visible: BoolArray = field(init=False, repr=False)
+    _is_visible: BoolArray = field(init=False, repr=False)
     _is_restarted: BoolArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        """Allocate arrays for the frames."""
+        """Allocate arrays for the residuals of all frames, filled by `add`."""
         shape = self.frames, len(self.names)
-        self._misses = np.zeros(shape)
+        self._residuals = np.zeros(shape)
         self._target_indices = np.broadcast_to(np.arange(shape[1]), shape).copy()
-        self._visible = np.zeros(shape, np.bool_)
+        self._is_visible = np.zeros(shape, np.bool_)
         self._is_restarted = np.zeros(shape[0], np.bool_)
 
     def add(
         self,
         first: int,
-        misses: FloatArray,
+        residuals: FloatArray,
         target_indices: IntArray,
         is_restarted: BoolArray,
-        visible: BoolArray,
+        is_visible: BoolArray,
     ) -> None:
         """Record the fit of frames ``(N, E)`` from frame ``first`` on."""
-        rows = slice(first, first + len(misses))
-        self._misses[rows], self._target_indices[rows] = misses, target_indices
-        self._is_restarted[rows], self._visible[rows] = is_restarted, visible
+        frames = slice(first, first + len(residuals))
+        self._residuals[frames], self._target_indices[frames] = (
+            residuals,
+            target_indices,
+        )
+        self._is_restarted[frames], self._is_visible[frames] = is_restarted, is_visible
 
     def finish(self) -> None:
-        """Compute the scores of all markers and the total."""
-        indices = np.arange(len(self.names))
+        """Compute the scores of markers and frames once all frames are added."""
+        marker_indices = np.arange(len(self.names))
         # A marker with the position of another label counts as visible.
         is_visible = np.where(
-            self._target_indices == indices,
-            self._visible,
-            (self._target_indices >= 0) & (self._target_indices != indices),
+            self._target_indices == marker_indices,
+            self._is_visible,
+            (self._target_indices >= 0) & (self._target_indices != marker_indices),
         )
-        is_fitting = is_visible & (self._misses <= ROBUST_DEVIATIONS * self.noise)
-        squares = np.where(is_fitting, self._misses**2, 0.0)
+        is_fitting = is_visible & (self._residuals <= ROBUST_DEVIATIONS * self.noise)
+        squares = np.where(is_fitting, self._residuals**2, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
             self.rms = np.sqrt(squares.sum(axis=1) / is_fitting.sum(axis=1))
-            by_marker = np.sqrt(squares.sum(axis=0) / is_fitting.sum(axis=0))
+            marker_rms = np.sqrt(squares.sum(axis=0) / is_fitting.sum(axis=0))
             self.total = float(np.sqrt(squares.sum() / is_fitting.sum()))
-        counts = is_visible.sum(axis=1)
-        self.sparse = np.flatnonzero(counts < MIN_MARKERS)
-        is_poor = is_fitting.sum(axis=1) < MIN_FITTED_FRACTION * counts
-        self.poor = np.flatnonzero((counts >= MIN_MARKERS) & is_poor)
+        marker_counts = is_visible.sum(axis=1)
+        self.sparse = np.flatnonzero(marker_counts < MIN_MARKERS)
+        is_poor = is_fitting.sum(axis=1) < MIN_FITTED_FRACTION * marker_counts
+        self.poor = np.flatnonzero((marker_counts >= MIN_MARKERS) & is_poor)
         self.searched = np.flatnonzero(self._is_restarted)
         self.markers = [
             MarkerScore(
                 name,
-                float(by_marker[e]),
-                float(self._visible[:, e].mean()),
+                float(marker_rms[e]),
+                float(self._is_visible[:, e].mean()),
                 1.0
                 - float(is_fitting[:, e].sum()) / max(int(is_visible[:, e].sum()), 1),
             )
@@ -116,7 +119,7 @@ class SolveScore:
         ]
         self.exchanged = [
             ExchangedLabels(self.names[e], self.names[label], first, end - 1)
-            for e in indices.tolist()
+            for e in marker_indices.tolist()
             for label in np.unique(self._target_indices[:, e]).tolist()
             if label not in (e, -1)
             for first, end in runs(self._target_indices[:, e] == label)

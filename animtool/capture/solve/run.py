@@ -13,16 +13,16 @@ from animtool.capture.options import SolveOptions
 from animtool.capture.solve.model import (
     MIN_MARKERS,
     MarkerProblem,
-    marker_model,
-    visible_markers,
+    build_marker_problem,
+    visibility_mask,
 )
 from animtool.capture.solve.report import SolveScore
 from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
     estimate_noise,
-    sampled_frames,
+    fullest_frames,
+    swapped_side_notices,
 )
-from animtool.capture.solve.swapped import swapped_side_notices
 from animtool.capture.templates.match import (
     MarkerMatch,
     match_markers,
@@ -50,6 +50,7 @@ from animtool.motion.driving import drive_take
 from animtool.motion.markers import Markers
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
+from animtool.rig.joints import local_from_coordinates
 from animtool.rig.skeleton import Rig
 
 Progress = Callable[[float], None] | None
@@ -58,17 +59,17 @@ Progress = Callable[[float], None] | None
 # read.
 WINDOW_FRAMES, LOOKAHEAD_FRAMES = 600, 120
 # Frames before a window whose poses are fixed, so that motion continues smoothly.
-BEHIND_FRAMES = 2
+PAST_FRAMES = 2
 # Independent frames for the noise estimate.
 NOISE_SAMPLES = 24
 # Ratio of marker distances to the rig's that means other units.
 MIN_UNIT_RATIO = 30.0
 # Logarithm of the largest ratio of the sizes of a rig and a person.
-MAX_SIZE_RATIO = math.log(2.0)
+MAX_LOG_RATIO = math.log(2.0)
 # Typical residual above which markers do not belong to this rig [m].
-MIN_STRANGE_RESIDUAL = 0.01
+MAX_TYPICAL_RESIDUAL = 0.01
 # A marker this many times farther off than most has a wrong name or offset [1].
-FAR_FACTOR = 4.0
+MISPLACED_RATIO = 4.0
 # A marker on a body moves by more than this: breathing alone moves a chest by 4 mm [m].
 STATIC_EXTENT = 0.002
 # A marker that does not move while the others move by this much is not on the body [m].
@@ -79,7 +80,7 @@ MIN_MOVING_FRAMES = 25
 
 @dataclass
 class MarkerSolve:
-    """A marker solve whose frames are solved as its blocks are read.
+    """A prepared marker solve; its frames are solved as `blocks` is read.
 
     Attributes:
         model: Rig and markers of the solve.
@@ -103,39 +104,39 @@ class MarkerSolve:
     notices: list[Fault] = field(default_factory=list)
 
     def blocks(self, progress: Progress = None) -> Iterator[Motion]:
-        """Yield the motion, one window of frames at a time."""
-        previous: FloatArray | None = None
-        rotations: FloatArray | None = None
-        count = len(self.positions)
-        for first in range(0, count, WINDOW_FRAMES):
-            end = min(first + WINDOW_FRAMES, count)
-            coordinates = self._solve_window(first, end, previous)
-            previous = coordinates[-BEHIND_FRAMES:]
-            motion = self._to_motion(coordinates, rotations)
-            rotations = motion.rotations.values[-1]
+        """Solve and yield one window of frames after another; complete the score."""
+        previous_poses: FloatArray | None = None
+        last_rotations: FloatArray | None = None
+        frame_count = len(self.positions)
+        for first in range(0, frame_count, WINDOW_FRAMES):
+            end = min(first + WINDOW_FRAMES, frame_count)
+            coordinates = self._solve_window(first, end, previous_poses)
+            previous_poses = coordinates[-PAST_FRAMES:]
+            motion = self._to_motion(coordinates, last_rotations)
+            last_rotations = motion.rotations.values[-1]
             yield motion
             if progress is not None:
-                progress(end / count)
+                progress(end / frame_count)
         self.score.finish()
         self._warn_of_frames()
 
     def take(self, progress: Progress = None) -> Take:
-        """Return the full take."""
+        """Solve all frames; return them as a take with the rig's drivers applied."""
         motion = Motion.concatenate(list(self.blocks(progress)))
         motion = motion.map(Channel.compact)
         rig, clock = self.model.rig, self.markers.clock
         return drive_take(Take(rig, clock, motion, tuple(self.notices)))
 
     def _solve_window(
-        self, first: int, end: int, previous: FloatArray | None
+        self, first: int, end: int, previous_poses: FloatArray | None
     ) -> FloatArray:
-        """Solve a window of frames, starting from the poses before it."""
-        past_frames = 0 if previous is None else len(previous)
-        lookahead = min(end + LOOKAHEAD_FRAMES, len(self.positions))
-        positions = self.positions[first - past_frames : lookahead]
+        """Return poses ``(F, Q)`` of a window that continue the previous ones."""
+        past_count = 0 if previous_poses is None else len(previous_poses)
+        lookahead_end = min(end + LOOKAHEAD_FRAMES, len(self.positions))
+        positions = self.positions[first - past_count : lookahead_end]
         starts = self.model.start_poses(positions)
-        if previous is not None:
-            starts[:past_frames] = previous
+        if previous_poses is not None:
+            starts[:past_count] = previous_poses
         result = fit(
             self.model.problem,
             self.model.targets(positions, self.noise),
@@ -145,51 +146,53 @@ class MarkerSolve:
                 self.options.acceleration,
                 robust=ROBUST_DEVIATIONS,
             ),
-            path=None if previous is None else starts,
-            first=past_frames,
+            path=None if previous_poses is None else starts,
+            first=past_count,
         )
-        window_rows = slice(past_frames, past_frames + end - first)
+        window_frames = slice(past_count, past_count + end - first)
         self.score.add(
             first,
-            result.misses[window_rows],
-            result.target_indices[window_rows],
-            result.is_restarted[window_rows],
-            visible_markers(positions[window_rows]),
+            result.misses[window_frames],
+            result.target_indices[window_frames],
+            result.is_restarted[window_frames],
+            visibility_mask(positions[window_frames]),
         )
-        return result.coordinates[window_rows]
+        return result.coordinates[window_frames]
 
     def _to_motion(
-        self, coordinates: FloatArray, quaternions: FloatArray | None
+        self, coordinates: FloatArray, previous_rotations: FloatArray | None
     ) -> Motion:
-        """Return the motion of poses, with signs continuous with ``quaternions``."""
+        """Convert poses ``(F, Q)`` to motion; signs continue the previous rotations."""
         rig = self.model.rig
-        local = self.model.local_transforms(coordinates)
+        local = local_from_coordinates(rig, coordinates)
         goal_joints = sorted({rig.index(name) for name in self.model.problem.joints})
-        slides = [j for j in goal_joints if rig.joints[j].type in {"free", "prismatic"}]
-        rotations = so3.align_signs(local.rotations[:, goal_joints], quaternions)
+        sliders = [
+            j for j in goal_joints if rig.joints[j].type in {"free", "prismatic"}
+        ]
+        rotations = so3.align_signs(local.rotations[:, goal_joints], previous_rotations)
         return Motion(
             Channel(
                 rig.rest_translations,
-                np.array(slides, np.int64),
-                local.translations[:, slides],
+                np.array(sliders, np.int64),
+                local.translations[:, sliders],
             ),
             Channel(rig.rest_rotations, np.array(goal_joints, np.int64), rotations),
         )
 
     def _warn_of_frames(self) -> None:
-        """Warn about frames with too few markers, or none that fit."""
+        """Warn of frames with too few markers (SOL101) or few that fit (SOL102)."""
         clock = self.markers.clock
-        for code, frames, problem in (
+        for code, indices, problem in (
             ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
             ("SOL102", self.score.poor, "markers do not match"),
         ):
-            if not len(frames):
+            if not len(indices):
                 continue
-            numbers = [
-                math.floor(clock.start + clock.step * f) for f in frames.tolist()
+            frame_numbers = [
+                math.floor(clock.start + clock.step * f) for f in indices.tolist()
             ]
-            frames_text = frame_spans(numbers)
-            message = f"{problem} in {counted(len(frames), 'frame')}: {frames_text}"
+            frames_text = frame_spans(frame_numbers)
+            message = f"{problem} in {counted(len(indices), 'frame')}: {frames_text}"
             hint = "their poses are taken from nearby frames"
             if code == "SOL102":
                 hint = "labels may be wrong there, or the rig may not match the subject"
@@ -222,9 +225,9 @@ def solve_markers(
     options = options or SolveOptions()
     with with_notices(markers.notices):
         match = match_markers(template, markers.names, options.subject)
-    model = marker_model(rig, template, match.columns)
+    model = build_marker_problem(rig, template, match.columns)
     positions = positions_in_rig_axes(model.rig, markers)[:, model.columns]
-    sample = positions[sampled_frames(positions, NOISE_SAMPLES)]
+    sample = positions[fullest_frames(positions, NOISE_SAMPLES)]
     if not len(sample):
         message = f"no frame has {MIN_MARKERS} markers of the template"
         raise OptionError(Fault("SOL004", message, hint="see animtool info"))
@@ -245,7 +248,7 @@ def solve_markers(
 
 
 def _renamed_hint(match: MarkerMatch) -> str | None:
-    """Return a hint with unused names that resemble missing markers, or None."""
+    """Return a hint to add captured names as aliases of similar missing markers."""
     name_pairs = [
         f"{captured_name!r} for {name!r}"
         for name, captured_name in resembling_names(match.missing, match.unused)
@@ -262,7 +265,7 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
     which calibration would not correct.
     """
     median = float(np.median(noise))
-    is_far = (noise > FAR_FACTOR * median) & (noise > MIN_STRANGE_RESIDUAL)
+    is_far = (noise > MISPLACED_RATIO * median) & (noise > MAX_TYPICAL_RESIDUAL)
     far_markers = sorted(np.flatnonzero(is_far).tolist(), key=lambda i: -noise[i])
     if far_markers:
         far_text = listed(
@@ -272,7 +275,7 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
         message += f"by {length_text(median)}"
         hint = "are their names swapped, or their offsets wrong? correct that first: "
         hint += f"{argument('calibrate', True)} would keep it"
-    elif median > MIN_STRANGE_RESIDUAL:
+    elif median > MAX_TYPICAL_RESIDUAL:
         message = f"markers are {length_text(median)} off their positions on the rig"
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
     else:
@@ -281,12 +284,12 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
 
 
 def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
-    """Return a warning if markers ``(F, E, 3)`` never move (SOL108)."""
+    """Return a warning if all or some markers ``(F, E, 3)`` never move (SOL108)."""
     if len(positions) < MIN_MOVING_FRAMES:
         return []
     is_known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))
     lowest, highest = (
-        np.where(is_known[..., None], positions, fill) for fill in (np.inf, -np.inf)
+        np.where(is_known[..., None], positions, limit) for limit in (np.inf, -np.inf)
     )
     extents = np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0), axis=1)
     is_tested = is_known.sum(axis=0) >= MIN_MOVING_FRAMES
@@ -311,7 +314,7 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
 
 
 def positions_in_rig_axes(rig: Rig, markers: Markers) -> FloatArray:
-    """Return positions ``(F, M, 3)`` with the up axis of a rig [m]."""
+    """Return marker positions ``(F, M, 3)`` [m], rotated to a rig's up axis."""
     rotation = up_from_up(rig.up, markers.up)
     if rotation is None:
         return markers.positions
@@ -319,7 +322,7 @@ def positions_in_rig_axes(rig: Rig, markers: Markers) -> FloatArray:
 
 
 def _confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
-    """Return the likely true unit of a capture, and the unit in which it is read.
+    """Return the unit of a capture, and the unit it was read in, for a size ratio.
 
     >>> [unit.value for unit in _confused_units(857.0)]
     ['mm', 'm']
@@ -341,10 +344,10 @@ def check_units(
     rest_points = model.points(model.start_poses(sample[:1]))[0]
     ratios = []
     for frame in sample:
-        visible = np.isfinite(frame).all(axis=1)
+        is_visible = np.isfinite(frame).all(axis=1)
         rest_size, frame_size = (
             float(np.linalg.norm(points - points.mean(axis=0), axis=1).mean())
-            for points in (rest_points[visible], frame[visible])
+            for points in (rest_points[is_visible], frame[is_visible])
         )
         ratios.append(frame_size / max(rest_size, 1e-9))
     ratio = float(np.median(ratios))
@@ -364,7 +367,7 @@ def check_units(
     unit_written, unit_read = _confused_units(ratio)
     hint = f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or "
     hint += "in"
-    if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_SIZE_RATIO:
+    if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_LOG_RATIO:
         unit_text = argument("source.unit", str(unit_written))
         hint = f"the numbers look like {unit_written} that are read as {unit_read}: "
         hint += f"set {unit_text}"

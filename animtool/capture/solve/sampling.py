@@ -1,4 +1,4 @@
-"""Independent frames of a capture: fitted poses and marker residuals."""
+"""Sampled frames of a capture: poses, marker noise, and left and right swapped."""
 
 from __future__ import annotations
 
@@ -6,9 +6,12 @@ import math
 
 import numpy as np
 
-from animtool.capture.solve.model import MIN_MARKERS, MarkerProblem, visible_markers
+from animtool.capture.solve.model import MIN_MARKERS, MarkerProblem, visibility_mask
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import Fault, listed, warning
+from animtool.core.quantities import length_text
 from animtool.ik.fit import FitOptions, fit
+from animtool.rig.sides import pair_sides
 
 # Median length of a 3D vector whose components have standard deviation 1.
 MEDIAN_LENGTH = 1.538
@@ -19,22 +22,26 @@ MIN_VISIBLE_FRAMES = 5
 # Initial noise, maximum rounds of its estimate, and the ratio at which it has
 # converged.
 INITIAL_NOISE, NOISE_ROUNDS, CONVERGED_RATIO = 0.02, 4, 0.7
+# Residual of swapped markers, and the fraction of it that is left without the swap.
+MIN_SWAP_RESIDUAL, MAX_SWAP_RATIO = 0.02, 0.4
 
 
-def sampled_frames(positions: FloatArray, count: int) -> IntArray:
+def fullest_frames(positions: FloatArray, count: int) -> IntArray:
     """Return the frame with the most markers from each of ``count`` equal intervals."""
-    counts = visible_markers(positions).sum(axis=1)
-    chunks = np.array_split(np.arange(len(positions)), min(count, len(positions)))
+    counts = visibility_mask(positions).sum(axis=1)
+    intervals = np.array_split(np.arange(len(positions)), min(count, len(positions)))
     best_frames = [
-        chunk[int(np.argmax(counts[chunk]))] for chunk in chunks if len(chunk)
+        interval[int(np.argmax(counts[interval]))]
+        for interval in intervals
+        if len(interval)
     ]
     return np.array([f for f in best_frames if counts[f] >= MIN_MARKERS], np.int64)
 
 
-def sampled_poses(
+def independent_poses(
     model: MarkerProblem, positions: FloatArray, noise: FloatArray
 ) -> FloatArray:
-    """Solve each frame independently by robust least squares; return ``(F, Q)``."""
+    """Fit a pose to each frame on its own by robust least squares ``(F, Q)``."""
     starts = model.start_poses(positions)
     targets = model.targets(positions, noise)
     points, weights = np.asarray(targets.positions), np.asarray(targets.weights)
@@ -47,36 +54,38 @@ def sampled_poses(
     return poses
 
 
-def typical_noise(misses: FloatArray, min_noise: float) -> FloatArray:
+def residual_noise(residuals: FloatArray, min_noise: float) -> FloatArray:
     """Return the standard deviation per axis of each marker ``(E,)`` [m].
 
     Residuals ``(F, E)`` [m] are NaN where a marker is missing. A marker with tiny ones,
     such as the only marker on its joints, is assumed to be half as noisy as the others.
     """
-    is_known = np.isfinite(misses)
+    is_known = np.isfinite(residuals)
     median = min_noise
     if is_known.any():
-        median = float(np.median(misses[is_known])) / MEDIAN_LENGTH
-    noise = np.full(misses.shape[1], median)
-    has_enough = is_known.sum(axis=0) >= MIN_VISIBLE_FRAMES
-    noise[has_enough] = np.nanmedian(misses[:, has_enough], axis=0) / MEDIAN_LENGTH
+        median = float(np.median(residuals[is_known])) / MEDIAN_LENGTH
+    noise = np.full(residuals.shape[1], median)
+    is_measured = is_known.sum(axis=0) >= MIN_VISIBLE_FRAMES
+    noise[is_measured] = np.nanmedian(residuals[:, is_measured], axis=0) / MEDIAN_LENGTH
     return np.asarray(np.maximum(noise, max(min_noise, median / 2)))
 
 
 def estimate_noise(
     model: MarkerProblem, sample: FloatArray, min_noise: float
 ) -> FloatArray:
-    """Return the noise of markers ``(F, E, 3)``, per axis ``(E,)`` [m].
+    """Estimate each marker's noise per axis ``(E,)`` [m] from sampled frames.
 
     The estimate starts from a large value, so that another subject's rig and wrong
     labels can be distinguished.
     """
     noise = np.full(len(model.joints), INITIAL_NOISE)
     for _ in range(NOISE_ROUNDS):
-        misses = marker_residuals(model, sampled_poses(model, sample, noise), sample)
-        estimate = typical_noise(misses, min_noise)
-        has_converged = bool((estimate > CONVERGED_RATIO * noise).all())
-        noise = estimate
+        residuals = marker_residuals(
+            model, independent_poses(model, sample, noise), sample
+        )
+        new_noise = residual_noise(residuals, min_noise)
+        has_converged = bool((new_noise > CONVERGED_RATIO * noise).all())
+        noise = new_noise
         if has_converged:
             break
     return noise
@@ -89,3 +98,64 @@ def marker_residuals(
     return np.asarray(
         np.linalg.norm(model.points(coordinates) - positions, axis=2), np.float64
     )
+
+
+def swapped_side_notices(
+    model: MarkerProblem, sample: FloatArray, noise: FloatArray, min_noise: float
+) -> list[Fault]:
+    """Return a warning if left and right marker names look exchanged (SOL109).
+
+    The sampled positions are ``(F, E, 3)`` [m]; noise ``(E,)`` and its lower bound in
+    metres.
+    """
+    names = model.template.names
+    pairs = pair_sides(names)
+    if not pairs.left or float(noise.max()) < MIN_SWAP_RESIDUAL / 2:
+        return []
+    exchanged_sample = sample[:, pairs.partners]
+    median_noise = float(np.median(noise))
+    if median_noise >= MIN_SWAP_RESIDUAL / 2:
+        exchanged_noise = float(
+            np.median(estimate_noise(model, exchanged_sample, min_noise))
+        )
+        if exchanged_noise < MAX_SWAP_RATIO * median_noise:
+            message = (
+                "left and right look swapped: with all their markers exchanged, "
+                f"they are {length_text(exchanged_noise)} off their positions "
+                f"on the rig, not {length_text(median_noise)}"
+            )
+            return [_swapped_warning(message)]
+    coordinates = independent_poses(model, sample, noise)
+    residuals, exchanged_residuals = (
+        _column_medians(marker_residuals(model, coordinates, positions))
+        for positions in (sample, exchanged_sample)
+    )
+    swapped_pairs = []
+    for left in pairs.left:
+        both_markers = [left, int(pairs.partners[left])]
+        residual = residuals[both_markers].min()
+        swap_residual = exchanged_residuals[both_markers].max()
+        if residual > MIN_SWAP_RESIDUAL and swap_residual < MAX_SWAP_RATIO * residual:
+            swapped_pairs.append(both_markers)
+    if not swapped_pairs:
+        return []
+    pairs_text = listed([f"{names[a]} and {names[b]}" for a, b in swapped_pairs], 4)
+    first = swapped_pairs[0][0]
+    message = (
+        f"markers look swapped: {pairs_text}; exchanged, {names[first]} is "
+        f"{length_text(float(exchanged_residuals[first]))} off its position on the "
+        f"rig, not {length_text(float(residuals[first]))}"
+    )
+    return [_swapped_warning(message)]
+
+
+def _column_medians(residuals: FloatArray) -> FloatArray:
+    """Return each marker's median residual ``(E,)`` [m]; infinite if never visible."""
+    columns = [column[np.isfinite(column)] for column in residuals.T]
+    return np.array([np.median(c) if len(c) else np.inf for c in columns])
+
+
+def _swapped_warning(message: str) -> Fault:
+    """Return warning SOL109 with a hint to exchange the names."""
+    hint = "exchange their names in the capture, or their entries in the template"
+    return warning("SOL109", message, hint)

@@ -26,7 +26,7 @@ from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
 # Typical residual of a good solve, with skin motion [m], and outliers [1].
-TYPICAL_MISS, TYPICAL_OUTLIERS = 0.005, 0.01
+TYPICAL_RESIDUAL, TYPICAL_OUTLIERS = 0.005, 0.01
 
 
 def open_markers_source(
@@ -40,7 +40,7 @@ def open_markers_source(
     fps: Any = None,
     progress: Callable[[float], None] | None = None,
 ) -> TakeStream:
-    """Open a file of markers as the motion of a rig.
+    """Open a file of markers as a take: its frames are solved as blocks are read.
 
     Args:
         path: Markers; with ``cameras``, pixel observations in an npz.
@@ -92,7 +92,7 @@ def triangulate_source(
     up: UpAxis | None = None,
     fps: Any = None,
 ) -> Markers:
-    """Return triangulated markers, with the notices about the cameras."""
+    """Triangulate pixel observations to markers; a note states the error (SOL106)."""
     from animtool.capture.cameras.file import load_all_cameras
     from animtool.capture.cameras.observations import read_observations
     from animtool.capture.cameras.triangulate import triangulate
@@ -109,7 +109,7 @@ def triangulate_source(
 def solve_stream(
     solve: MarkerSolve, path: Path, progress: Callable[[float], None] | None
 ) -> TakeStream:
-    """Return a solve as a stream, whose notices are complete after reading."""
+    """Wrap a solve as a take stream; notices and scores are complete after reading."""
     markers, rig = solve.markers, solve.model.rig
     clock = markers.clock
     stream = TakeStream(
@@ -122,7 +122,7 @@ def solve_stream(
     )
 
     def blocks() -> Iterator[Motion]:
-        """Yield the motion; add the notices of the solve at the end."""
+        """Yield solved blocks; then add the solve's new notices and its scores."""
         known_count = len(solve.notices)
         yield from solve.blocks(progress)
         stream.notices += [fault.in_file(path) for fault in solve.notices[known_count:]]
@@ -143,7 +143,7 @@ def solve_scores(solve: MarkerSolve) -> PassScores:
     score = solve.score
     outliers = float(np.mean([marker_score.outliers for marker_score in score.markers]))
     scores = (
-        Score("marker", score.total, ScoreUnit.LENGTH, TYPICAL_MISS),
+        Score("marker", score.total, ScoreUnit.LENGTH, TYPICAL_RESIDUAL),
         Score("outliers", outliers, ScoreUnit.FRACTION, TYPICAL_OUTLIERS),
     )
     return PassScores(scores, pass_name="solve")

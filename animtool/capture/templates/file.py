@@ -25,19 +25,19 @@ from animtool.rig.sides import pair_sides
 MAX_OFFSET = 10.0
 # If so many markers are off their joints, but none farther than this, the unit is
 # another, too [m].
-MIN_OFFSET, MIN_OFFSETS = 0.001, 4
+MIN_OFFSET, MIN_OFFSET_MARKERS = 0.001, 4
 # Largest offset on a body [m].
 TYPICAL_OFFSET = 0.3
 
 
 class MarkerUnitsModel(FileModel):
-    """Units of the numbers in a template."""
+    """Key ``units`` of a marker template: the unit of its offsets."""
 
     length: Literal["m", "cm", "mm", "in"] = key("Of offsets.", "mm", default="m")
 
 
 class MarkerModel(FileModel):
-    """A marker, and the joint that carries it."""
+    """An entry of ``marker_set``: a marker, and the joint that carries it."""
 
     name: Name = key("Name in captures, without the name of the subject.", "LFHD")
     joint: Name = key("The joint it is attached to.", "head")
@@ -56,7 +56,7 @@ class MarkerModel(FileModel):
 
 
 class MarkersModel(FileModel):
-    """A marker template."""
+    """Schema of a marker template file, ``*.markers.yaml``."""
 
     markers: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     rig: str | None = key(
@@ -80,7 +80,7 @@ class MarkersModel(FileModel):
 
 
 def load_template(path: Path | str) -> MarkerTemplate:
-    """Return the marker template of a file; `MarkerTemplate.joints` checks joints.
+    """Read a marker template; its joints are checked by `MarkerTemplate.joints`.
 
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
@@ -90,56 +90,56 @@ def load_template(path: Path | str) -> MarkerTemplate:
 
 def _check_names(document: Document, model: MarkersModel) -> None:
     """Record a fault for each name or alias that another marker has (MKT002)."""
-    entry_of_name: dict[str, int] = {}
-    for i, entry in enumerate(model.marker_set):
-        if entry.name in entry_of_name:
-            other = f"marker_set[{entry_of_name[entry.name]}]"
-            message = f"two markers are called {entry.name!r}"
-            hint = f"rename it here, or in {other}"
+    index_of_name: dict[str, int] = {}
+    for i, marker in enumerate(model.marker_set):
+        if marker.name in index_of_name:
+            other_location = f"marker_set[{index_of_name[marker.name]}]"
+            message = f"two markers are called {marker.name!r}"
+            hint = f"rename it here, or in {other_location}"
             document.add("MKT002", ("marker_set", i, "name"), message, hint)
-        entry_of_name.setdefault(entry.name, i)
-    entry_of_alias: dict[str, int] = {}
-    for i, entry in enumerate(model.marker_set):
-        for k, alias in enumerate(entry.aliases):
+        index_of_name.setdefault(marker.name, i)
+    index_of_alias: dict[str, int] = {}
+    for i, marker in enumerate(model.marker_set):
+        for k, alias in enumerate(marker.aliases):
             location: Location = ("marker_set", i, "aliases", k)
             message, hint = "", "remove the alias"
-            if alias in entry_of_name:
-                other = f"marker_set[{entry_of_name[alias]}]"
-                message = f"the alias {alias!r} is the name of {other}"
-                if entry_of_name[alias] == i:
+            if alias in index_of_name:
+                other_location = f"marker_set[{index_of_name[alias]}]"
+                message = f"the alias {alias!r} is the name of {other_location}"
+                if index_of_name[alias] == i:
                     message = f"the alias {alias!r} is the name of the marker itself"
-            elif entry_of_alias.get(alias) == i:
+            elif index_of_alias.get(alias) == i:
                 message = f"the alias {alias!r} is listed twice"
                 hint = "remove one of them"
-            elif alias in entry_of_alias:
-                other = f"marker_set[{entry_of_alias[alias]}]"
-                message = f"the alias {alias!r} is an alias of {other} too"
+            elif alias in index_of_alias:
+                other_location = f"marker_set[{index_of_alias[alias]}]"
+                message = f"the alias {alias!r} is an alias of {other_location} too"
                 hint = "remove one of them"
             if message:
                 document.add("MKT002", location, message, hint)
-            entry_of_alias.setdefault(alias, i)
+            index_of_alias.setdefault(alias, i)
 
 
 def parse_template(document: Document) -> MarkerTemplate:
-    """Parse a marker template document; see `load_template`."""
+    """Convert a template document to a template with offsets in metres; check it."""
     check_version(document, "markers")
     model = validate_document(document, MarkersModel)
-    unit = LengthUnit(model.units.length).meters
+    meters_per_unit = LengthUnit(model.units.length).meters
     _check_names(document, model)
     markers = []
-    for entry in model.marker_set:
-        x, y, z = (value * unit for value in entry.offset)
+    for marker in model.marker_set:
+        x, y, z = (value * meters_per_unit for value in marker.offset)
         markers.append(
             TemplateMarker(
-                entry.name,
-                entry.joint,
+                marker.name,
+                marker.joint,
                 (x, y, z),
-                entry.weight,
-                entry.fixed,
-                tuple(entry.aliases),
+                marker.weight,
+                marker.fixed,
+                tuple(marker.aliases),
             )
         )
-    if all(entry.weight == 0 for entry in model.marker_set):
+    if all(marker.weight == 0 for marker in model.marker_set):
         message = "every marker has weight 0"
         document.add("MKT004", ("marker_set",), message, "leave out some weights")
     rig = None
@@ -148,59 +148,61 @@ def parse_template(document: Document) -> MarkerTemplate:
         rig = resolve_input(document, ("rig",), model.rig, roots)
     document.check()
     _warn_of_offsets(document, markers, LengthUnit(model.units.length))
-    _warn_of_sides(document, markers)
+    _warn_of_swapped_sides(document, markers)
     return MarkerTemplate(tuple(markers), rig, document)
 
 
 def _warn_of_offsets(
     document: Document, markers: Sequence[TemplateMarker], unit: LengthUnit
 ) -> None:
-    """Warn of an implausibly large offset, or if all are too small (MKT003)."""
+    """Warn if an offset is above `MAX_OFFSET`, or all are tiny (MKT003)."""
     sizes = [max(map(abs, marker.offset)) for marker in markers]
-    i = max(range(len(sizes)), key=lambda i: sizes[i])
-    largest = sizes[i]
+    farthest = max(range(len(sizes)), key=sizes.__getitem__)
+    largest = sizes[farthest]
     if not largest:
         return
-    likely, expected = likely_unit(largest, unit, TYPICAL_OFFSET)
-    hint = f"write units: {{length: {likely}}} in the template: then it is "
-    hint += length_text(expected)
+    nearest_unit, converted = likely_unit(largest, unit, TYPICAL_OFFSET)
+    hint = f"write units: {{length: {nearest_unit}}} in the template: then it is "
+    hint += length_text(converted)
     if largest > MAX_OFFSET:
-        message = f"{markers[i].name!r} is {length_text(largest)} off its joint"
+        message = f"{markers[farthest].name!r} is {length_text(largest)} off its joint"
         count = sum(size > MAX_OFFSET for size in sizes)
         if count > 1:
             message += f"; {count} markers are more than {MAX_OFFSET:g} m off theirs"
-        if likely is unit:
+        if nearest_unit is unit:
             hint = f"are the offsets in {unit}?"
-    elif largest < MIN_OFFSET and sum(map(bool, sizes)) >= MIN_OFFSETS:
+    elif largest < MIN_OFFSET and sum(map(bool, sizes)) >= MIN_OFFSET_MARKERS:
         message = f"all markers are within {length_text(largest)} of their joints"
-        if likely is unit:
+        if nearest_unit is unit:
             hint = f"offsets are in {unit}: were they divided by 1000 twice?"
     else:
         return
-    document.warn("MKT003", ("marker_set", i, "offset"), message, hint)
+    document.warn("MKT003", ("marker_set", farthest, "offset"), message, hint)
 
 
-def _warn_of_sides(document: Document, markers: Sequence[TemplateMarker]) -> None:
-    """Warn of pairs of markers that are on the joints of the other side (MKT005)."""
+def _warn_of_swapped_sides(
+    document: Document, markers: Sequence[TemplateMarker]
+) -> None:
+    """Warn of left and right markers that are on the other side's joints (MKT005)."""
     joints = list(dict.fromkeys(marker.joint for marker in markers))
     joint_pairs = pair_sides(joints)
-    pairs = pair_sides([marker.name for marker in markers])
+    marker_pairs = pair_sides([marker.name for marker in markers])
     left_joints = {joints[j] for j in joint_pairs.left}
     partner_of = {joints[j]: joints[p] for j, p in enumerate(joint_pairs.partners)}
-    swapped: list[int] = []
-    for left in pairs.left:
-        right = int(pairs.partners[left])
+    swaps: list[int] = []
+    for left in marker_pairs.left:
+        right = int(marker_pairs.partners[left])
         joint = markers[left].joint
-        on_pair = partner_of[joint] == markers[right].joint != joint
-        if on_pair and joint not in left_joints:
-            swapped += [left, right]
-    if not swapped:
+        is_on_partner = partner_of[joint] == markers[right].joint != joint
+        if is_on_partner and joint not in left_joints:
+            swaps += [left, right]
+    if not swaps:
         return
-    first = min(swapped)
+    first = min(swaps)
     marker = markers[first]
-    other = partner_of[marker.joint]
-    names = [f"{markers[i].name} on {markers[i].joint}" for i in sorted(swapped)]
-    message = f"{len(swapped)} of {counted(len(markers), 'marker')} are on joints of "
+    other_joint = partner_of[marker.joint]
+    names = [f"{markers[i].name} on {markers[i].joint}" for i in sorted(swaps)]
+    message = f"{len(swaps)} of {counted(len(markers), 'marker')} are on joints of "
     message += f"the other side: {listed(names, 4)}"
-    hint = f"for {marker.name} write joint: {other}"
+    hint = f"for {marker.name} write joint: {other_joint}"
     document.warn("MKT005", ("marker_set", first, "joint"), message, hint)

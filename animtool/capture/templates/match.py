@@ -21,7 +21,7 @@ MAX_LISTED_NAMES = 6
 
 @dataclass(frozen=True, slots=True)
 class MarkerMatch:
-    """Indices of a template's markers in a capture, and the unmatched names.
+    """Indices of a template's markers in a capture, and names without a match.
 
     Attributes:
         columns: Index of each template marker in the capture ``(M,)``; -1
@@ -65,9 +65,7 @@ def match_markers(
         for prefix in dict.fromkeys(_split_prefix(name)[0] for name in labelled_names)
     }
     matching_subjects = {
-        prefix: column_indices
-        for prefix, column_indices in matches.items()
-        if (column_indices >= 0).any()
+        prefix: columns for prefix, columns in matches.items() if (columns >= 0).any()
     }
     if subject is not None:
         if subject not in matches:
@@ -80,8 +78,8 @@ def match_markers(
             name for name in labelled_names if _split_prefix(name)[0] == subject
         ]
     if len(matching_subjects) > 1:
-        count = counted(len(matching_subjects), "subject")
-        message = f"holds markers of {count}: {listed(sorted(matching_subjects))}"
+        count_text = counted(len(matching_subjects), "subject")
+        message = f"holds markers of {count_text}: {listed(sorted(matching_subjects))}"
         hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
     if not matching_subjects or not (next(iter(matching_subjects.values())) >= 0).any():
@@ -98,7 +96,7 @@ def match_markers(
 
 
 def _split_prefix(name: str) -> tuple[str, str]:
-    """Return the subject prefix of a name, and the rest of the name."""
+    """Split ``Ann:LFHD`` into subject and marker name; the subject may be empty."""
     subject, _, bare_name = name.rpartition(":")
     return subject.strip(), bare_name.strip()
 
@@ -106,22 +104,22 @@ def _split_prefix(name: str) -> tuple[str, str]:
 def _marker_columns(
     template: MarkerTemplate, names: Sequence[str], subject: str
 ) -> IntArray:
-    """Return the index of each marker among the names of a subject; -1 without one."""
+    """Return the index of each marker among a subject's ``names``; -1 if missing."""
     bare_names = {
-        i: bare
-        for i, (prefix, bare) in enumerate(map(_split_prefix, names))
+        i: bare_name
+        for i, (prefix, bare_name) in enumerate(map(_split_prefix, names))
         if prefix == subject and not names[i].startswith("*")
     }
     columns = np.full(len(template.markers), -1, np.int64)
     used_columns: set[int] = set()
     # Exact spelling first, then ignoring case.
     for normalise in (str, str.casefold):
-        index: dict[str, int] = {}
-        for i, bare in bare_names.items():
-            index.setdefault(normalise(bare), i)
+        column_of_name: dict[str, int] = {}
+        for i, bare_name in bare_names.items():
+            column_of_name.setdefault(normalise(bare_name), i)
         for m, marker in enumerate(template.markers):
             for name in (marker.name, *marker.aliases):
-                i = index.get(normalise(name), -1)
+                i = column_of_name.get(normalise(name), -1)
                 if columns[m] < 0 <= i and i not in used_columns:
                     columns[m] = i
                     used_columns.add(i)
@@ -139,8 +137,8 @@ def resembling_names(
     >>> resembling_names(["LASI", "RASI"], ["Ann:L_ASIS", "Ann:C7"])
     [('LASI', 'L_ASIS')]
     """
-    bare_names = {_letters(name): _split_prefix(name)[1] for name in captured_names}
-    names_by_letters = {_letters(name): name for name in names}
+    bare_names = {_letters_of(name): _split_prefix(name)[1] for name in captured_names}
+    names_by_letters = {_letters_of(name): name for name in names}
     pairs = []
     for letters, name in names_by_letters.items():
         similar = most_similar(letters, bare_names)
@@ -149,15 +147,15 @@ def resembling_names(
     return pairs
 
 
-def _letters(name: str) -> str:
-    """Return the lower-case letters and digits of a name without its prefix."""
+def _letters_of(name: str) -> str:
+    """Return a name's lower-case letters and digits, without its subject prefix."""
     return re.sub(r"[^a-z0-9]", "", _split_prefix(name)[1].lower())
 
 
 def _unmatched_fault(
     template: MarkerTemplate, labelled_names: Sequence[str], names: Sequence[str]
 ) -> Fault:
-    """Return the fault of a capture that has no marker of a template."""
+    """Return a fault that no marker of the template matches, with similar names."""
     message = "no marker of the capture has a name of the template"
     if not labelled_names:
         message = f"none of the {counted(len(names), 'point')} has a label"

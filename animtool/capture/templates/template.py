@@ -22,7 +22,7 @@ OFFSET_DECIMALS = 6
 
 @dataclass(frozen=True, slots=True)
 class TemplateMarker:
-    """A marker: its name, joint, offset and weight.
+    """A marker of a template: where it is on a rig, and its names in captures.
 
     Attributes:
         name: Name in captures, without the subject prefix.
@@ -82,15 +82,15 @@ class MarkerTemplate:
         >>> MarkerTemplate((TemplateMarker("WRA", "b"),)).joints(rig).tolist()
         [1]
         """
-        index = {name: j for j, name in enumerate(rig.names)}
+        joint_indices = {name: j for j, name in enumerate(rig.names)}
         faults = []
         for i, marker in enumerate(self.markers):
-            if marker.joint in index:
+            if marker.joint in joint_indices:
                 continue
             message = f"{marker.name!r} is on {marker.joint!r}, which {rig.name!r} "
             message += "lacks"
             key_path = ("marker_set", i, "joint")
-            hint = name_hint(marker.joint, index)
+            hint = name_hint(marker.joint, joint_indices)
             faults.append(
                 Fault("MKT001", message, hint=hint, where=location_text(key_path))
                 if self.document is None
@@ -99,10 +99,10 @@ class MarkerTemplate:
         if faults:
             faults = self._merge_rig_faults(rig, faults)
             raise OptionError(faults) if self.document is None else FormatError(faults)
-        return np.array([index[m.joint] for m in self.markers], np.int64)
+        return np.array([joint_indices[m.joint] for m in self.markers], np.int64)
 
     def _merge_rig_faults(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
-        """Merge the faults to one if the rig that the template names has all joints."""
+        """Return one fault instead if the template's own rig has all missing joints."""
         if self.document is None or self.rig is None or len(faults) < 2:
             return faults
         try:
@@ -112,9 +112,9 @@ class MarkerTemplate:
         names = {marker.joint for marker in self.markers}
         if not names <= set(named_rig.names):
             return faults
-        missing = [repr(name) for name in sorted(names - set(rig.names))]
+        missing_joints = [repr(name) for name in sorted(names - set(rig.names))]
         message = f"{len(faults)} of {len(self.markers)} markers are on joints that "
-        message += f"{rig.name!r} lacks: {listed(missing, 4)}"
+        message += f"{rig.name!r} lacks: {listed(missing_joints, 4)}"
         hint = f"the template is for {self.rig.name}, which has them; use its rig, or "
         hint += f"a template of {rig.name!r}"
         return [self.document.fault("MKT001", ("rig",), message, hint)]
@@ -142,13 +142,13 @@ def _template_lines(
         offset = flow_list(
             [decimal_text(round(x, OFFSET_DECIMALS)) for x in marker.offset]
         )
-        entry = f"name: {yaml_scalar(marker.name)}, joint: {yaml_scalar(marker.joint)}"
-        entry += f", offset: {offset}"
+        line = f"name: {yaml_scalar(marker.name)}, joint: {yaml_scalar(marker.joint)}"
+        line += f", offset: {offset}"
         if marker.weight != 1.0:
-            entry += f", weight: {decimal_text(marker.weight)}"
+            line += f", weight: {decimal_text(marker.weight)}"
         if marker.fixed:
-            entry += ", fixed: true"
+            line += ", fixed: true"
         if marker.aliases:
             aliases = [yaml_scalar(name) for name in marker.aliases]
-            entry += f", aliases: {flow_list(aliases)}"
-        yield f"- {{{entry}}}"
+            line += f", aliases: {flow_list(aliases)}"
+        yield f"- {{{line}}}"

@@ -152,7 +152,9 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     read_end_time = time.perf_counter()
     with faults_in(job.capture):
         rig_face = model
-        model = _with_neutral_proportions(job.options, model, points, capture.pixels)
+        model = _with_neutral_proportions(
+            job.options, model, points, capture.is_in_pixels
+        )
         fit = fit_face(
             model,
             points,
@@ -183,7 +185,9 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     scale = None
     if camera is not None:
         scale = float(camera[0] / np.median(fit.translations[:, 2]))
-    return FaceResult(job, fit, links, take, capture.pixels, notices, seconds, scale)
+    return FaceResult(
+        job, fit, links, take, capture.is_in_pixels, notices, seconds, scale
+    )
 
 
 def _load_model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
@@ -200,7 +204,7 @@ def _undistort(
     job: FaceJob, capture: FaceCapture, points: FloatArray
 ) -> tuple[FloatArray | None, FloatArray]:
     """Return camera intrinsics (None for positions) and undistorted landmarks."""
-    if not capture.pixels:
+    if not capture.is_in_pixels:
         if job.camera is not None:
             message = f"{argument('camera')} is for landmarks in pixels, but these are "
             raise OptionError(Fault("CLI004", f"{message}positions", str(job.capture)))

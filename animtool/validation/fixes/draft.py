@@ -26,7 +26,7 @@ class FileDraft(Protocol):
 
     @property
     def findings(self) -> Sequence[Fault]:
-        """Findings in the content."""
+        """Findings of all rules in the current content."""
 
     def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings to fix in the next step."""
@@ -41,7 +41,7 @@ class FileDraft(Protocol):
         """Yield the findings that can be fixed one by one."""
 
     def diff_text(self) -> str:
-        """Return the changes as text."""
+        """Return the changes so far as a diff or a list of edits."""
 
     def outputs(self) -> Sequence[Path]:
         """Return the new files to write next to the repaired file."""
@@ -70,7 +70,7 @@ FIXES = {
     "RIG219": "animtool.validation.fixes.names:make_name_unique",
     "RIG221": "animtool.validation.fixes.names:make_names_legal",
     "RIG222": "animtool.validation.fixes.texts:rest_from_bind",
-    "VAL001": "animtool.validation.fixes.texts:remove_entry",
+    "VAL001": "animtool.validation.fixes.texts:remove_ignore_entry",
 }
 
 
@@ -80,7 +80,7 @@ class NotFixedError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class FixEdits:
-    """Text edits and new arrays that fix a finding."""
+    """Edits of a file's text, and new npz files, that fix one finding."""
 
     description: str  # description of the fix for the report
     edits: tuple[Edit, ...]  # edits of the file's text
@@ -89,16 +89,16 @@ class FixEdits:
 
 
 # Raises NotFixedError if the fix would not be safe.
-Fix = Callable[[CheckedFile, Fault], FixEdits]
+FixFunction = Callable[[CheckedFile, Fault], FixEdits]
 
 
-def fix_of(code: str) -> Fix | None:
-    """Return the fix of a code; None if there is none.
+def load_fix(code: str) -> FixFunction | None:
+    """Import the function that fixes a code's findings; None if there is none.
 
-    >>> fix_of("RIG201") is None
+    >>> load_fix("RIG201") is None
     True
     """
-    return cast(Fix, load_object(FIXES[code])) if code in FIXES else None
+    return cast(FixFunction, load_object(FIXES[code])) if code in FIXES else None
 
 
 def has_fix(code: str) -> bool:

@@ -37,7 +37,7 @@ class LayerDraft:
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
-        """Findings in the layer."""
+        """Findings of all rules in the layer with its edits."""
         return findings_in(self.checked_file)
 
     def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
@@ -47,11 +47,11 @@ class LayerDraft:
         """
         codes = {fault.code for fault in findings}
         first_code = next(code for code in EDITS_BY_CODE if code in codes)
-        with_code = (fault for fault in findings if fault.code == first_code)
-        return sorted(with_code, key=lambda fault: -(fault.where or "").count("/"))
+        matches = (fault for fault in findings if fault.code == first_code)
+        return sorted(matches, key=lambda fault: -(fault.where or "").count("/"))
 
     def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
-        """Return the layer with the findings fixed that concern only this layer."""
+        """Return the layer with findings fixed; list those whose fix is refused."""
         from animtool.usd.fixes.target import edited_layer
 
         fixes: list[tuple[Fault, str]] = []
@@ -59,8 +59,8 @@ class LayerDraft:
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
                 reason, remedy = _apply_fix(layer, fault)
-                entries = refused_findings if reason else fixes
-                entries.append((fault, reason or remedy))
+                results = refused_findings if reason else fixes
+                results.append((fault, reason or remedy))
             content = layer.content()
         edit_lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixes]
         edited_draft = LayerDraft(self.path, content, (*self.edits, *edit_lines))
@@ -98,7 +98,10 @@ class LayerDraft:
 
 
 def _apply_fix(layer: FixTarget, fault: Fault) -> tuple[str, str]:
-    """Apply the fix of a finding; return why it failed (or ""), and the change made."""
+    """Fix a finding in a layer; return the reason if it is refused, and the change.
+
+    One of the two is empty.
+    """
     from animtool.usd.fixes.target import NotFixableError
 
     prefix = "" if fault.where in {None, "/"} else f"{fault.where}: "

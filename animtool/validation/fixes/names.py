@@ -24,7 +24,7 @@ from animtool.validation.subjects.rig import RigSubject
 from animtool.validation.subjects.subject import CheckedFile
 
 
-def files_naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
+def files_using_names(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
     """Yield the files that use a name of a rig, each with the first name found.
 
     A use is a key or value that is or contains the name, such as
@@ -41,12 +41,12 @@ def files_naming(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, str]]:
             continue
         if not any(name in text for name in names):
             continue
-        use = _first_use(path, text, rig_path, names)
-        if use is not None:
-            yield path, use
+        used_name = _used_name(path, text, rig_path, names)
+        if used_name is not None:
+            yield path, used_name
 
 
-def _first_use(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
+def _used_name(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
     """Return the first name of a rig that a file uses."""
     try:
         value = document_of(text, path).value
@@ -133,10 +133,10 @@ _LIST_NAMES = {
 
 
 def make_names_legal(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that make every name of a list legal in USD."""
+    """Return edits that rename the illegal USD names of a list and all references."""
     rig = _complete_rig(checked_file)
-    key = str(pointer_of(fault)[0])
-    return _rename_entries(rig, key, _illegal_names(group_names(rig, key)))
+    group = str(pointer_of(fault)[0])
+    return _rename_entries(rig, group, _illegal_names(group_names(rig, group)))
 
 
 def _illegal_names(names: Sequence[str]) -> list[str]:
@@ -144,21 +144,21 @@ def _illegal_names(names: Sequence[str]) -> list[str]:
 
 
 def make_name_unique(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that rename one of two names that are equal in USD.
+    """Return edits that rename one of two entries whose names are equal in USD.
 
     Renames the one that USD does not allow, or else the second.
     """
     rig = _complete_rig(checked_file)
-    key, number = pointer_of(fault)[:2]
-    entry = rig.file_entries(str(key))[number]
-    names = group_names(rig, key)
-    for name in (entry["name"], entry.get("mirror")):
+    group, entry_index = pointer_of(fault)[:2]
+    named_entry = rig.file_entries(str(group))[entry_index]
+    names = group_names(rig, group)
+    for name in (named_entry["name"], named_entry.get("mirror")):
         usd_name = legal_usd_name(name) if name else None
         equal_names = [other for other in names if legal_usd_name(other) == usd_name]
         if len(equal_names) > 1:
             illegal_names = _illegal_names(equal_names)
-            return _rename_entries(rig, str(key), illegal_names[-1:])
-    raise NotFixedError(f"renames {entry['name']!r} to make it unique")
+            return _rename_entries(rig, str(group), illegal_names[-1:])
+    raise NotFixedError(f"renames {named_entry['name']!r} to make it unique")
 
 
 def _complete_rig(checked_file: CheckedFile) -> RigSubject:
@@ -168,14 +168,14 @@ def _complete_rig(checked_file: CheckedFile) -> RigSubject:
     return rig
 
 
-def _rename_entries(rig: RigSubject, key: str, old_names: list[str]) -> FixEdits:
-    for path, name in files_naming(rig.document.path, old_names):
+def _rename_entries(rig: RigSubject, group: str, old_names: list[str]) -> FixEdits:
+    for path, name in files_using_names(rig.document.path, old_names):
         raise NotFixedError(f"{path.name} also uses {name!r}")
-    new_names = _unused_names(old_names, group_names(rig, key))
+    new_names = _unused_names(old_names, group_names(rig, group))
     renamings = [f"{name!r} to {new_names[name]!r}" for name in old_names]
     count_text = counted(len(old_names), "name")
-    remedy = f"renames {count_text} of {key}: {listed(renamings, 3)}"
-    return FixEdits(remedy, tuple(rename_edits(rig.document.value, key, new_names)))
+    remedy = f"renames {count_text} of {group}: {listed(renamings, 3)}"
+    return FixEdits(remedy, tuple(rename_edits(rig.document.value, group, new_names)))
 
 
 def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
@@ -187,16 +187,16 @@ def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
         used_names = {*other_names, *new_names.values()}
         candidate, number = legal_usd_name(name), 2
         while candidate in used_names:
-            candidate, number = f"{legal_usd_name(name)}_{number}", number + 1
+            candidate, number = (f"{legal_usd_name(name)}_{number}", number + 1)
         new_names[name] = candidate
     return new_names
 
 
 def rename_edits(
-    value: Mapping[str, Any], key: str, new_names: Mapping[str, str]
+    value: Mapping[str, Any], group: str, new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename list entries and all references to them in a rig."""
-    for path_pattern in NAME_PATHS[key]:
+    for path_pattern in NAME_PATHS[group]:
         for value_path, name in _names_at(value, tuple(path_pattern.split("/")), ()):
             if path_pattern.endswith("{}"):
                 if name in new_names:
@@ -210,14 +210,16 @@ def rename_edits(
             if joint in new_names:
                 suffix = f".{coordinate}" if coordinate else ""
                 yield Replace(value_path, f"{new_names[joint]}{suffix}")
-    if key == "joints":
+    if group == "joints":
         yield from _expression_edits(value, new_names)
     for value_path, ignore_location in _names_at(value, ("ignore", "*", "where"), ()):
         location = ignore_location
         for old_name, new_name in new_names.items():
-            lists = "|".join(_LIST_NAMES[key])
+            list_pattern = "|".join(_LIST_NAMES[group])
             location = re.sub(
-                rf"\b({lists})\[{re.escape(old_name)}\]", rf"\1[{new_name}]", location
+                rf"\b({list_pattern})\[{re.escape(old_name)}\]",
+                rf"\1[{new_name}]",
+                location,
             )
         if location != ignore_location:
             yield Replace(value_path, location)
@@ -237,14 +239,14 @@ def _expression_edits(
 
 
 def _names_at(
-    node: Any, steps: tuple[str, ...], location: Location
+    node: Any, path_steps: tuple[str, ...], location: Location
 ) -> Iterator[tuple[Location, str]]:
     """Yield the names at a path of `NAME_PATHS`, and their locations."""
-    if not steps:
+    if not path_steps:
         if isinstance(node, str):
             yield location, node
         return
-    step, *later_steps = steps
+    step, *later_steps = path_steps
     if step == "{}":
         for key in node if isinstance(node, dict) else ():
             yield (*location, key), key

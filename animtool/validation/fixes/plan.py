@@ -13,13 +13,13 @@ from animtool.core.readers import READERS, USD
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import DOCUMENT_FILE_SUFFIXES
 from animtool.validation.fixes.draft import FileDraft, FixStep, has_fix
-from animtool.validation.options import ValidateOptions
+from animtool.validation.options import ValidateOptions, settings_of
 from animtool.validation.run import Report
 
 
 @dataclass(slots=True)
-class PlannedFix:
-    """A file and its fixed content."""
+class FixPlan:
+    """Planned fixes of a file: its fixed content, and the findings that remain."""
 
     path: Path  # the file
     draft: FileDraft  # its content after the fixes
@@ -29,12 +29,13 @@ class PlannedFix:
     unfixed_findings: list[tuple[Fault, str]] = field(default_factory=list)
 
 
-def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
-    """Return a file with all safe fixes applied in memory.
+def plan_fixes(path: Path, options: ValidateOptions) -> FixPlan:
+    """Apply all safe fixes of a file in memory, with its project settings.
 
     A fix is kept if its finding disappears and no new one appears.
     """
-    plan = PlannedFix(path, _open_draft(path))
+    options = options.merged_over(settings_of(path))
+    plan = FixPlan(path, _open_draft(path))
     options = options.with_profile(plan.draft.checked_file.profile)
     tried_keys: set[_FaultKey] = set()
     while findings := _untried_findings(plan.draft.findings, options, tried_keys):
@@ -51,19 +52,19 @@ def plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
         tried_keys.update(map(_fault_key, findings_to_fix))
         plan.unfixed_findings.extend(step.unfixed_findings)
         plan.unfixed_findings.extend((f, reason) for f, _ in step.fixed_findings)
-    remaining = _untried_findings(plan.draft.findings, options, set())
-    final_step = plan.draft.fix_deferred(remaining)
+    remaining_findings = _untried_findings(plan.draft.findings, options, set())
+    final_step = plan.draft.fix_deferred(remaining_findings)
     plan.draft = final_step.draft
     plan.fixed_findings.extend(final_step.fixed_findings)
     return plan
 
 
-def with_fixable(report: Report) -> Report:
-    """Return a report that marks findings with a safe fix."""
+def mark_fixable(report: Report) -> Report:
+    """Return the report with `Report.fixable`, the findings with a safe fix."""
     fixable_by_path: dict[str, list[Fault]] = {}
     for fault in report.findings:
         path = Path(fault.path or "")
-        if has_fixes(path) and not is_package(path) and has_fix(fault.code):
+        if is_fixable(path) and not is_package(path) and has_fix(fault.code):
             fixable_by_path.setdefault(str(fault.path), []).append(fault)
     fixable_faults = (
         fault
@@ -91,10 +92,10 @@ def is_package(path: Path) -> bool:
     return path.suffix.lower() == ".usdz"
 
 
-def has_fixes(path: Path) -> bool:
+def is_fixable(path: Path) -> bool:
     """Return whether files of a kind can be fixed: documents and USD.
 
-    >>> [has_fixes(Path(name)) for name in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
+    >>> [is_fixable(Path(n)) for n in ("a.rig.yaml", "a.usda", "a.bvh", "a.glb")]
     [True, True, False, False]
     """
     return path.suffix.lower() in DOCUMENT_FILE_SUFFIXES or is_layer(path)
@@ -118,8 +119,8 @@ def _untried_findings(
     faults: Sequence[Fault], options: ValidateOptions, tried_keys: set[_FaultKey]
 ) -> list[Fault]:
     """Return the selected findings that have a fix which was not tried yet."""
-    fixable = [f for f in faults if has_fix(f.code) and options.selects(f.code)]
-    return [fault for fault in fixable if _fault_key(fault) not in tried_keys]
+    findings = [f for f in faults if has_fix(f.code) and options.selects(f.code)]
+    return [fault for fault in findings if _fault_key(fault) not in tried_keys]
 
 
 def _fault_key(fault: Fault) -> _FaultKey:
@@ -127,7 +128,7 @@ def _fault_key(fault: Fault) -> _FaultKey:
 
 
 def _reason_to_reject(old_draft: FileDraft, step: FixStep) -> str:
-    """Return why a fix is rejected: findings remain or appear; "" if accepted."""
+    """Return a reason if findings remain or appear after a fix, else ""."""
     if not step.fixed_findings:
         return ""
     old_counts = Counter(fault.code for fault in old_draft.findings)

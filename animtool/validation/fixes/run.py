@@ -12,14 +12,14 @@ from animtool.core.files.output import atomic_outputs, check_outputs
 from animtool.core.record import dataclass
 from animtool.validation.fixes.draft import has_fix
 from animtool.validation.fixes.plan import (
-    PlannedFix,
-    has_fixes,
+    FixPlan,
+    is_fixable,
     is_layer,
     is_package,
-    plan_file,
-    with_fixable,
+    mark_fixable,
+    plan_fixes,
 )
-from animtool.validation.options import ValidateOptions, settings_of
+from animtool.validation.options import ValidateOptions
 from animtool.validation.run import Report, validate_files
 
 
@@ -27,7 +27,7 @@ from animtool.validation.run import Report, validate_files
 class FixResult:
     """Result of fixing files: the fixes made and the remaining findings."""
 
-    files: tuple[PlannedFix, ...]  # files with findings of codes that have a fix
+    files: tuple[FixPlan, ...]  # files with findings of codes that have a fix
     report: Report  # validation after the fixes
     notes: tuple[str, ...] = ()  # notes about entire files
 
@@ -37,14 +37,14 @@ class FixResult:
         return tuple(entry for file in self.files for entry in file.unfixed_findings)
 
 
-def plan_files(report: Report, options: ValidateOptions) -> Iterator[PlannedFix]:
+def plan_files(report: Report, options: ValidateOptions) -> Iterator[FixPlan]:
     """Yield the planned fixes of a report's files; nothing is written.
 
     The report is that of `validate_files` with the same options.
     """
     options = options.with_profile_levels()
-    for path in _with_fixes(report):
-        yield _plan_file(path, options)
+    for path in _fixable_files(report):
+        yield plan_fixes(path, options)
 
 
 def fix_files(
@@ -65,20 +65,22 @@ def fix_files(
     """
     options = (options or ValidateOptions()).with_profile_levels()
     report = validate_files(files, options)
-    fixable_files = _with_fixes(report)
+    fixable_files = _fixable_files(report)
     kept_files = [path for path in fixable_files if is_layer(path) and not overwrite]
     # A file and a link to it are the same file.
     files_to_fix = [path for path in reversed(fixable_files) if path not in kept_files]
     changed_files = list(reversed({p.resolve(): p for p in files_to_fix}.values()))
     check_outputs(changed_files, [], overwrite=True)
-    plans = [_plan_file(path, options) for path in changed_files]
+    plans = [plan_fixes(path, options) for path in changed_files]
     with atomic_outputs():
         for plan in plans:
             if plan.fixed_findings:
                 plan.draft.write(plan.path)
     note = "packages are not edited: unpack it, and fix its layers"
-    packages = [f"{path}: {note}" for path in _with_fixes(report, packages=True)]
-    notes = (*_unfixed_findings(report, kept_files), *packages)
+    package_notes = [
+        f"{path}: {note}" for path in _fixable_files(report, are_packages=True)
+    ]
+    notes = (*_unfixed_file_notes(report, kept_files), *package_notes)
     if any(plan.fixed_findings for plan in plans):
         report = validate_files(files, options)
     fixed_findings = tuple(entry for plan in plans for entry in plan.fixed_findings)
@@ -114,35 +116,31 @@ def fix_copy(
     check_copy_suffixes(source, output)
     check_outputs([output], [source], overwrite=overwrite)
     refuse_composed_layers(source, output)
-    plan = _plan_file(source, options)
+    plan = plan_fixes(source, options)
     notes = plan.draft.write(output)
     report = validate_files([output], options)
     report = replace(report, mended=tuple(plan.fixed_findings))
     return FixResult((plan,), report, tuple(notes))
 
 
-def _plan_file(path: Path, options: ValidateOptions) -> PlannedFix:
-    return plan_file(path, options.merged_over(settings_of(path)))
-
-
-def _with_fixes(report: Report, *, packages: bool = False) -> list[Path]:
-    """Return the files with fixable findings: either packages or other files."""
+def _fixable_files(report: Report, *, are_packages: bool = False) -> list[Path]:
+    """Return the files with fixable findings: USD packages, or all other files."""
     named_paths = {fault.path for fault in report.findings if has_fix(fault.code)}
     fixable_files = [path for path in report.files if str(path) in named_paths]
-    return [p for p in fixable_files if has_fixes(p) and is_package(p) is packages]
+    return [p for p in fixable_files if is_fixable(p) and is_package(p) is are_packages]
 
 
-def _unfixed_findings(report: Report, paths: Sequence[Path]) -> Iterator[str]:
+def _unfixed_file_notes(report: Report, paths: Sequence[Path]) -> Iterator[str]:
     """Yield a message for each unchanged USD file that has fixable findings."""
     if not paths:
         return
-    fixable_faults = with_fixable(report).fixable
+    fixable_faults = mark_fixable(report).fixable
     for path in paths:
         count = sum(fault.path == str(path) for fault in fixable_faults)
         if count:
-            findings = counted(count, "finding")
+            findings_text = counted(count, "finding")
             yield (
-                f"{path}: {findings} can be fixed: {argument('output')} NEW.usdc "
+                f"{path}: {findings_text} can be fixed: {argument('output')} NEW.usdc "
                 "writes a repaired copy, "
                 f"{argument('overwrite', True)} replaces the file"
             )

@@ -28,7 +28,7 @@ from animtool.documents.document import document_of, parse_location, read_text
 from animtool.documents.edit import Add, EditError, Remove, Replace, apply_edits
 from animtool.documents.references import split_reference
 from animtool.rig.parts import ArrayRef
-from animtool.validation.fixes.draft import FixEdits, FixStep, NotFixedError, fix_of
+from animtool.validation.fixes.draft import FixEdits, FixStep, NotFixedError, load_fix
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject
@@ -36,7 +36,7 @@ from animtool.validation.subjects.subject import CheckedFile
 
 
 def pointer_of(fault: Fault) -> tuple[Any, ...]:
-    """Return the keys and numbers of a finding's ``where``.
+    """Split a finding's ``where`` into keys and list indices.
 
     >>> pointer_of(Fault("RIG210", "", where="meshes[2].skin.weights"))
     ('meshes', 2, 'skin', 'weights')
@@ -44,30 +44,32 @@ def pointer_of(fault: Fault) -> tuple[Any, ...]:
     return parse_location(fault.where or "")
 
 
-def remove_entry(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that remove an entry, and its list if no entry remains."""
+def remove_ignore_entry(checked_file: CheckedFile, fault: Fault) -> FixEdits:
+    """Return the edit that removes an unused ``ignore`` entry, or its list if empty."""
     if checked_file.document is None:
         raise NotFixedError("the file has no text")
-    entries = checked_file.document.value["ignore"]
+    ignore_entries = checked_file.document.value["ignore"]
     pointer = pointer_of(fault)
-    entry = entries[pointer[1]]
-    location = pointer if len(entries) > 1 else ("ignore",)
-    return FixEdits(f"removes the entry for {entry['code']}", (Remove(location),))
+    ignore_entry = ignore_entries[pointer[1]]
+    location = pointer if len(ignore_entries) > 1 else ("ignore",)
+    return FixEdits(
+        f"removes the entry for {ignore_entry['code']}", (Remove(location),)
+    )
 
 
 def rest_from_bind(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that set a joint's rest pose to its bind pose."""
+    """Return edits that set a joint's missing rest pose to its bind pose."""
     rig: RigSubject = checked_file.subject
     pointer = pointer_of(fault)
-    entry = rig.file_entries("joints")[pointer[1]]
-    pose = rig.document.value["bind"][entry["name"]]
+    joint = rig.file_entries("joints")[pointer[1]]
+    pose = rig.document.value["bind"][joint["name"]]
     keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
     edits = tuple(Add(pointer, key, pose[key]) for key in keys)
-    return FixEdits(f"sets the rest pose of {entry['name']!r} to its bind pose", edits)
+    return FixEdits(f"sets the rest pose of {joint['name']!r} to its bind pose", edits)
 
 
 def normalize_weights(checked_file: CheckedFile, fault: Fault) -> FixEdits:
-    """Return the edits that store normalized skin weights in a new npz file.
+    """Return a new npz file with normalized skin weights, and the edit that names it.
 
     Every reader of the file normalises the weights anyway. Other rigs may use the
     current npz, so it stays unchanged.
@@ -82,24 +84,26 @@ def normalize_weights(checked_file: CheckedFile, fault: Fault) -> FixEdits:
         raise NotFixedError("the weights are not in an npz file")
     path = _unused_path(weights.path, weights.key)
     name, _ = split_reference(weights.text, weights.key)
-    text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
+    reference_text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
     remedy = f"writes {path.name} with the weights divided by their sums"
     values = weights.load()
-    normalized = np.asarray(values / values.sum(axis=1, keepdims=True), np.float32)
-    arrays = {path: {weights.key: normalized}}
-    return FixEdits(remedy, (Replace(pointer, text),), arrays)
+    normalized_weights = np.asarray(
+        values / values.sum(axis=1, keepdims=True), np.float32
+    )
+    arrays = {path: {weights.key: normalized_weights}}
+    return FixEdits(remedy, (Replace(pointer, reference_text),), arrays)
 
 
 def _unused_path(path: Path, key: str) -> Path:
-    """Return an unused path next to a file."""
+    """Return a path for an array that does not exist yet, next to its npz file."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotFixedError(f"the name of the array, {excerpt(key)}, {problem}")
-    number, candidate = 2, path.with_name(f"{path.stem}_{key}.npz")
-    while candidate.exists():
-        candidate = path.with_name(f"{path.stem}_{key}_{number}.npz")
-        number += 1
-    return candidate
+    suffix_number, unused_path = 2, path.with_name(f"{path.stem}_{key}.npz")
+    while unused_path.exists():
+        unused_path = path.with_name(f"{path.stem}_{key}_{suffix_number}.npz")
+        suffix_number += 1
+    return unused_path
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,7 +131,7 @@ class TextDraft:
 
     @cached_property
     def findings(self) -> Sequence[Fault]:
-        """Findings in the text."""
+        """Findings of all rules in the current text."""
         return findings_in(self.checked_file)
 
     def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
@@ -155,7 +159,7 @@ class TextDraft:
 
     def fix_deferred(self, findings: Sequence[Fault]) -> FixStep:
         """Return the text with the findings fixed whose fixes write arrays."""
-        text, fixes = self.text, []
+        text, fixed_findings = self.text, []
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
         for fault in findings:
             try:
@@ -165,12 +169,12 @@ class TextDraft:
                 text = apply_edits(text, self.path, fix.edits)
             except (NotFixedError, EditError):
                 continue
-            fixes.append((fault, fix.description))
+            fixed_findings.append((fault, fix.description))
             for path, arrays in fix.arrays.items():
                 new_arrays.setdefault(path, {}).update(arrays)
-        codes = frozenset(fault.code for fault, _ in fixes)
+        codes = frozenset(fault.code for fault, _ in fixed_findings)
         draft = replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes)
-        return FixStep(draft, fixes)
+        return FixStep(draft, fixed_findings)
 
     def fixable_findings(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
@@ -184,15 +188,15 @@ class TextDraft:
     def diff_text(self) -> str:
         """Return the changes as a unified diff."""
         name = self.path.as_posix()
-        before, after = map(_split_lines, (self.original_text, self.text))
-        lines = difflib.unified_diff(before, after, f"a/{name}", f"b/{name}")
+        old, new = map(_split_lines, (self.original_text, self.text))
+        diff_lines = difflib.unified_diff(old, new, f"a/{name}", f"b/{name}")
         return "".join(
             line if line.endswith("\n") else f"{line}\n\\ No newline at end of file\n"
-            for line in lines
+            for line in diff_lines
         )
 
     def outputs(self) -> Sequence[Path]:
-        """Return the npz files written next to the text."""
+        """Return the paths of the npz files that `write` adds."""
         return tuple(self.arrays)
 
     def write(self, output: Path) -> Sequence[str]:
@@ -201,24 +205,24 @@ class TextDraft:
             with early_outputs(list(self.arrays)):
                 for path, arrays in self.arrays.items():
                     write_arrays(path, dict(arrays))
-                self._check_arrays()
+                self._check_written_arrays()
             has_bom = read_input(output).startswith(codecs.BOM_UTF8)
             encoding = "utf-8-sig" if has_bom else "utf-8"
             write_parts(output, [self.text.encode(encoding)])
         return ()
 
-    def _check_arrays(self) -> None:
+    def _check_written_arrays(self) -> None:
         """Raise OutputError if written arrays do not read back equal."""
         if not self.arrays:
             return
-        findings = {*self.fixed_by_arrays, "RIG018", "RIG019"}
+        unwanted_codes = {*self.fixed_by_arrays, "RIG018", "RIG019"}
         without_arrays = replace(self, arrays={})
-        if any(fault.code in findings for fault in without_arrays.findings):
+        if any(fault.code in unwanted_codes for fault in without_arrays.findings):
             path = next(iter(self.arrays))
             raise output_error(path, "it would not be read back as written")
 
     def _fix_edits(self, fault: Fault) -> FixEdits:
-        fix = fix_of(fault.code)
+        fix = load_fix(fault.code)
         if fix is None:
             raise NotFixedError("there is no automatic fix")
         return fix(self.checked_file, fault)

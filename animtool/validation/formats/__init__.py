@@ -23,21 +23,21 @@ FORMATS = {
 
 def format_report(
     report: Report,
-    form: str,
+    format_name: str,
     *,
-    repeats: bool = False,
+    shows_repeats: bool = False,
     namer: ArgumentNamer = python_name,
 ) -> str:
-    """Return a report in one of `FORMATS`.
+    """Format a report as text, JSON, GitHub commands, SARIF or JUnit XML.
 
     Args:
         report: The report.
-        form: Name in `FORMATS`.
-        repeats: Whether the text format includes repeated findings of a file. Other
-            formats always contain all findings.
+        format_name: Name in `FORMATS`.
+        shows_repeats: Whether the text format includes repeated findings of a file.
+            Other formats always contain all findings.
         namer: Returns the spelling of an argument in the caller's interface.
     """
-    if form == "text":
-        return text_report(report, repeats=repeats, namer=namer)
-    write = cast(Callable[[Report], str], load_object(FORMATS[form]))
-    return write(report.with_argument_names(namer))
+    if format_name == "text":
+        return text_report(report, shows_repeats=shows_repeats, namer=namer)
+    write_report = cast(Callable[[Report], str], load_object(FORMATS[format_name]))
+    return write_report(report.with_argument_names(namer))

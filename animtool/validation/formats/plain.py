@@ -35,16 +35,16 @@ _RepeatKey: TypeAlias = tuple[str | None, str, Severity]
 
 @dataclass(frozen=True, slots=True)
 class ShownFinding:
-    """A finding as it is printed."""
+    """A finding with its source excerpt, or with the number of omitted repeats."""
 
     fault: Fault
-    repeats: int = 0  # number of equal findings in its file that are not shown
+    repeat_count: int = 0  # number of equal findings in its file that are not shown
     excerpt: tuple[str, ...] = ()  # its source line, and a caret line
 
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """The findings to print."""
+    """Record of the template `FINDINGS`."""
 
     shown: list[ShownFinding]
 
@@ -56,7 +56,8 @@ FINDINGS = Template(
         Each(
             "shown",
             (
-                f"{{fault}}[{{?repeats}} ({{repeats}} more like it{_SEE_CLAUSE})]",
+                "{fault}[{?repeat_count} "
+                f"({{repeat_count}} more like it{_SEE_CLAUSE})]",
                 Each("excerpt", ("{self}",)),
             ),
         ),
@@ -75,30 +76,32 @@ SUMMARY = Template(
 
 
 def text_report(
-    report: Report, *, repeats: bool = False, namer: ArgumentNamer = python_name
+    report: Report, *, shows_repeats: bool = False, namer: ArgumentNamer = python_name
 ) -> str:
-    """Return the findings, each with its source line, and a summary line."""
+    """Format findings with their source lines, and a summary in the last line."""
     report = report.with_argument_names(namer)
     lines = [
-        *FINDINGS.text(Findings(_findings_to_print(report, repeats=repeats))),
+        *FINDINGS.text(
+            Findings(_findings_to_print(report, shows_repeats=shows_repeats))
+        ),
         summary(report),
     ]
     return "".join(f"{escaped(name_arguments(line, namer))}\n" for line in lines)
 
 
-def _findings_to_print(report: Report, *, repeats: bool) -> list[ShownFinding]:
+def _findings_to_print(report: Report, *, shows_repeats: bool) -> list[ShownFinding]:
     """Return the findings to print; of those without a line, one per kind."""
     sources = SourceLineCache()
-    counts = Counter(map(_repeat_key, report.findings))
-    first_of_kind: dict[_RepeatKey, Fault] = {}
+    repeat_counts = Counter(map(_repeat_key, report.findings))
+    first_by_key: dict[_RepeatKey, Fault] = {}
     shown_findings = []
     for fault in report.findings:
-        kind = _repeat_key(fault)
-        if repeats or fault.lines:
+        repeat_key = _repeat_key(fault)
+        if shows_repeats or fault.lines:
             excerpt = excerpt_lines(fault, sources)
             shown_findings.append(ShownFinding(fault, excerpt=excerpt))
-        elif first_of_kind.setdefault(kind, fault) is fault:
-            shown_findings.append(ShownFinding(fault, counts[kind] - 1))
+        elif first_by_key.setdefault(repeat_key, fault) is fault:
+            shown_findings.append(ShownFinding(fault, repeat_counts[repeat_key] - 1))
     return shown_findings
 
 
@@ -152,7 +155,7 @@ def _escape_data(text: str) -> str:
 
 
 def json_report(report: Report) -> str:
-    """Return every checked file and every finding as JSON."""
+    """Format all checked files and all findings as indented JSON."""
     return printable_json(plain_value(report), indent=2) + "\n"
 
 
@@ -164,13 +167,15 @@ def junit_report(report: Report) -> str:
     names = dict.fromkeys([*map(str, report.files), *sorted(faults_by_file)])
     unreadable_files = report.unreadable()
     cases = (
-        _junit_case(name, faults_by_file[name], unreadable=name in unreadable_files)
+        _junit_case(name, faults_by_file[name], is_unreadable=name in unreadable_files)
         for name in names
     )
     return junit_xml("animtool validate", cases)
 
 
-def _junit_case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> JunitCase:
+def _junit_case(
+    name: str, faults: Sequence[Fault], *, is_unreadable: bool
+) -> JunitCase:
     errors = [fault for fault in faults if fault.severity is Severity.ERROR]
     other_faults = [fault for fault in faults if fault.severity is not Severity.ERROR]
     text = "\n".join(map(str, other_faults))
@@ -178,7 +183,7 @@ def _junit_case(name: str, faults: Sequence[Fault], *, unreadable: bool) -> Juni
         return JunitCase(name, output=text)
     return JunitCase(
         name,
-        "error" if unreadable else "failure",
+        "error" if is_unreadable else "failure",
         errors[0].code,
         errors[0].message,
         "\n".join(map(str, errors)),

@@ -42,8 +42,8 @@ def sarif_report(report: Report) -> str:
         "results": results,
         "columnKind": "unicodeCodePoints",
     }
-    value = {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
-    return printable_json(value, indent=2) + "\n"
+    log = {"$schema": SCHEMA, "version": "2.1.0", "runs": [run]}
+    return printable_json(log, indent=2) + "\n"
 
 
 def _rule_object(rule: Rule) -> dict[str, Any]:
@@ -62,14 +62,14 @@ def _rule_object(rule: Rule) -> dict[str, Any]:
 def _result_object(
     fault: Fault, rule_index: dict[str, int], sources: SourceLineCache
 ) -> dict[str, Any]:
-    text = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
+    message = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
         **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
         # Its levels are error, warning and note, too.
         "level": str(fault.severity),
         # Doubled braces are not placeholders (3.11.5).
-        "message": {"text": text.replace("{", "{{").replace("}", "}}")},
+        "message": {"text": message.replace("{", "{{").replace("}", "}}")},
     }
     if fault.path is None:
         return {**result, "partialFingerprints": _fingerprint(fault, None)}

@@ -10,7 +10,7 @@ from animtool.validation.motion.subject import MotionSubject
 
 # Fraction of the joints below the one that carries the body; targets and props next to
 # it have fewer [1].
-BODY_FRACTION = 0.6
+MIN_BODY_FRACTION = 0.6
 # Fraction of these that are below a joint of the trunk [1].
 TRUNK_FRACTION = 0.4
 
@@ -27,36 +27,36 @@ def body_carriers(subject: MotionSubject) -> tuple[int, ...]:
     is_foot = np.isin(np.arange(len(rig.joints)), find_feet(rig.names))
     feet_below = _subtree_counts(rig.parents, is_foot)
     joints_below = _subtree_counts(rig.parents, np.ones(len(is_foot), bool))
-    chain, carrier_count = [int(rig.roots[0])], 1
+    joint_path, carrier_count = [int(rig.roots[0])], 1
     moving_joints = set(subject.translating_joints.tolist())
     while True:
-        children = np.flatnonzero(rig.parents == chain[-1]).tolist()
+        children = np.flatnonzero(rig.parents == joint_path[-1]).tolist()
         body_children = [
             child
             for child in children
-            if joints_below[child] >= BODY_FRACTION * joints_below[chain[0]]
+            if joints_below[child] >= MIN_BODY_FRACTION * joints_below[joint_path[0]]
             and 2 * feet_below[child] > np.count_nonzero(is_foot)
         ]
         if not body_children:
-            return tuple(chain[:carrier_count])
-        chain.append(body_children[0])
+            return tuple(joint_path[:carrier_count])
+        joint_path.append(body_children[0])
         if body_children[0] in moving_joints:
-            carrier_count = len(chain)
+            carrier_count = len(joint_path)
 
 
 def hips_of(subject: MotionSubject) -> int:
-    """Return the joint that carries the body, usually the hips; 0 without roots."""
+    """Return the lowest joint that moves the complete body, usually the hips; or 0."""
     return (body_carriers(subject) or (0,))[-1]
 
 
-def _subtree_counts(parents: IntArray, values: BoolArray) -> IntArray:
-    """Return, for each joint, the number of true values in its subtree ``(J,)``.
+def _subtree_counts(parents: IntArray, is_counted: BoolArray) -> IntArray:
+    """Return how many joints of a mask are at or below each joint ``(J,)``.
 
     >>> values = np.array([True, False, True, True])
     >>> _subtree_counts(np.array([-1, 0, 1, 0]), values).tolist()
     [3, 1, 1, 1]
     """
-    counts = values.astype(np.int64)
+    counts = is_counted.astype(np.int64)
     for joint in range(len(parents) - 1, 0, -1):
         if parents[joint] >= 0:
             counts[parents[joint]] += counts[joint]
@@ -64,7 +64,7 @@ def _subtree_counts(parents: IntArray, values: BoolArray) -> IntArray:
 
 
 def limbs_of(parents: IntArray) -> IntArray:
-    """Return the topmost joint of the limb of each joint; -1 for the trunk ``(J,)``.
+    """Return the topmost joint of each joint's limb ``(J,)``; -1 in the trunk.
 
     >>> limbs_of(np.array([-1, 0, 1, 0, 3])).tolist()
     [-1, 1, 1, 3, 3]
@@ -86,13 +86,13 @@ def positioned_joints(subject: MotionSubject) -> BoolArray:
     """
     parents = subject.take.rig.parents
     carrier_joints = body_carriers(subject)
-    is_placed = parents < 0
-    is_placed[list(carrier_joints)] = True
-    return np.asarray(is_placed | np.isin(parents, carrier_joints[:-1]), bool)
+    is_positioned = parents < 0
+    is_positioned[list(carrier_joints)] = True
+    return np.asarray(is_positioned | np.isin(parents, carrier_joints[:-1]), bool)
 
 
 def body_joints(subject: MotionSubject) -> BoolArray:
-    """Return a mask of the joints below the joint that carries the body ``(J,)``."""
+    """Return a mask of the hips and all joints below them ``(J,)``."""
     parents = subject.take.rig.parents
     is_body = np.zeros(len(parents), bool)
     is_body[hips_of(subject) : hips_of(subject) + 1] = True

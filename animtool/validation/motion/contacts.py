@@ -19,19 +19,19 @@ Scalar = TypeVar("Scalar", np.float64, np.bool_)
 # Height above its lowest resting height within which a foot is planted [size].
 PLANTED_HEIGHT = 0.025
 # A planted foot moves less than this distance in this time [s], [size].
-STATIC_SECONDS, STATIC_MOVE = 0.1, 0.012
+STATIC_SECONDS, MAX_STATIC_MOVE = 0.1, 0.012
 # Fewer static frames, or a smaller fraction of all frames, do not show the ground: feet
 # also pause in the air [1].
-MIN_CONTACTS, MIN_CONTACT_FRACTION = 4, 0.1
+MIN_CONTACT_FRAMES, MIN_CONTACT_FRACTION = 4, 0.1
 # A foot that is rarely static slides throughout: it is planted at the height that it is
 # near in this fraction of the frames [1].
 MIN_LOW_FRACTION = 0.25
 # A foot carries the body if no other joint is lower by more than this [size].
-CARRYING_HEIGHT = 0.05
+CARRYING_TOLERANCE = 0.05
 # A body crawls, kneels or lies, and drags its feet, if a hand, a knee or the trunk is
 # this close to the ground; considered are joints that rest this far above the feet
 # [size].
-LYING_HEIGHT, MIN_HEIGHT_ABOVE_FEET = 0.12, 0.15
+MAX_LYING_HEIGHT, MIN_HEIGHT_ABOVE_FEET = 0.12, 0.15
 # The same applies this long before and after: feet take or release the weight while a
 # body goes down or gets up [s]. The ground is the lowest foot height within the second
 # interval, since in the air a knee may be as low as the feet.
@@ -43,7 +43,7 @@ ONE_HEIGHT_FRACTION, TWO_HEIGHTS_FRACTION, EACH_HEIGHT_FRACTION = 0.5, 0.85, 0.2
 
 @dataclass(frozen=True, slots=True)
 class FootStances:
-    """Foot contacts of a take.
+    """Feet of a take, the heights at which they are planted, and when they are.
 
     Attributes:
         feet: Indices of the foot joints ``(E,)``.
@@ -54,7 +54,7 @@ class FootStances:
         floor: The lower of two common contact heights, else the ground; infinite for
             more than two ``(E,)`` [m].
         is_carrying: Whether no other joint is much lower ``(F, E)``.
-        is_near: Whether a foot carries the body near flat ground ``(F, E)``.
+        is_near_ground: Whether a foot carries the body near flat ground ``(F, E)``.
         is_static: Whether it carries the body without moving ``(F, E)``.
     """
 
@@ -65,25 +65,25 @@ class FootStances:
     has_same_height: BoolArray
     floor: FloatArray
     is_carrying: BoolArray
-    is_near: BoolArray
+    is_near_ground: BoolArray
     is_static: BoolArray
 
 
-def contacts_of(subject: MotionSubject) -> FootStances | None:
-    """Return the foot contacts; None if there are no feet or no frames of stance."""
+def find_contacts(subject: MotionSubject) -> FootStances | None:
+    """Detect planted feet; return None if the rig has no feet or the take is short."""
     feet = find_feet(subject.take.rig.names)
-    if not len(feet) or subject.frames < MIN_CONTACTS:
+    if not len(feet) or subject.frame_count < MIN_CONTACT_FRAMES:
         return None
     heights = subject.heights[:, feet]
-    lowest = subject.heights[:, body_joints(subject)].min(axis=1, keepdims=True)
-    is_carrying = heights < lowest + CARRYING_HEIGHT * subject.size
+    lowest_heights = subject.heights[:, body_joints(subject)].min(axis=1, keepdims=True)
+    is_carrying = heights < lowest_heights + CARRYING_TOLERANCE * subject.size
     is_carrying &= ~_is_lying(subject, feet)[:, None]
     is_static = is_carrying & _is_static(subject, subject.positions[:, feet])
     ground = np.zeros(len(feet))
     floor = np.full(len(feet), np.inf)
     is_level = np.zeros(len(feet), bool)
     tolerance = PLANTED_HEIGHT * subject.size
-    min_contacts = max(MIN_CONTACTS, MIN_CONTACT_FRACTION * subject.frames)
+    min_contacts = max(MIN_CONTACT_FRAMES, MIN_CONTACT_FRACTION * subject.frame_count)
     for column in range(len(feet)):
         static_heights = heights[is_static[:, column], column]
         if len(static_heights) >= min_contacts:
@@ -99,8 +99,8 @@ def contacts_of(subject: MotionSubject) -> FootStances | None:
     has_same_height = is_level & _is_at_opposite_height(ground, partners, tolerance)
     floor[~_is_at_opposite_height(floor, partners, tolerance)] = np.inf
     is_near = is_carrying & has_same_height & (np.abs(heights - ground) < tolerance)
-    ground_facts = ground, is_level, has_same_height, floor
-    return FootStances(feet, partners, *ground_facts, is_carrying, is_near, is_static)
+    height_fields = ground, is_level, has_same_height, floor
+    return FootStances(feet, partners, *height_fields, is_carrying, is_near, is_static)
 
 
 def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]:
@@ -110,14 +110,14 @@ def _common_height(heights: FloatArray, tolerance: float) -> tuple[float, float]
     (0.1, 0.75)
     """
     heights = np.sort(heights)
-    range_ends = np.searchsorted(heights, heights + 2.0 * tolerance, "right")
-    start = int((range_ends - np.arange(len(heights))).argmax())
-    nearby_heights = heights[start : int(range_ends[start])]
+    end_indices = np.searchsorted(heights, heights + 2.0 * tolerance, "right")
+    start = int((end_indices - np.arange(len(heights))).argmax())
+    nearby_heights = heights[start : int(end_indices[start])]
     return float(np.median(nearby_heights)), len(nearby_heights) / len(heights)
 
 
 def _lower_ground_height(heights: FloatArray, tolerance: float) -> float:
-    """Return the lower of one or two heights that nearly all values share; else inf.
+    """Return the lower of at most two heights that most values are at; else infinity.
 
     >>> _lower_ground_height(np.array([0.0, 0.1, 5.0, 5.1, 5.2]), 0.5)
     0.05
@@ -145,32 +145,32 @@ def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:
             leg_joints.add(joint)
     other_joints[list(leg_joints)] = False
     if subject.has_rest:
-        rest_heights = subject.rest @ subject.up
+        rest_heights = subject.rest_positions @ subject.up_vector
         min_distance = MIN_HEIGHT_ABOVE_FEET * subject.rest_size
         other_joints &= rest_heights > rest_heights[feet].min() + min_distance
     if not other_joints.any():
-        return np.zeros(subject.frames, bool)
+        return np.zeros(subject.frame_count, bool)
     lowest_foot = subject.heights[:, feet].min(axis=1)
     lowest_other = subject.heights[:, other_joints].min(axis=1)
     ground = _frame_windows(lowest_foot, STRIDE_SECONDS / subject.interval).min(axis=1)
-    is_lying = lowest_other < ground + LYING_HEIGHT * subject.size
+    is_lying = lowest_other < ground + MAX_LYING_HEIGHT * subject.size
     windows = _frame_windows(is_lying, TRANSITION_SECONDS / subject.interval)
     return np.asarray(windows.any(axis=1))
 
 
 def _frame_windows(values: NDArray[Scalar], half_width: float) -> NDArray[Scalar]:
-    """Return sliding windows over frames, padded at the ends ``(F, W)``."""
+    """Return the values around each frame ``(F, W)``, padded with the end values."""
     pad = round(half_width)
     padded_values = np.pad(values, pad, mode="edge")
     return sliding_window_view(padded_values, 2 * pad + 1)
 
 
 def _opposite_feet(subject: MotionSubject, feet: IntArray) -> IntArray:
-    """Return the column of the opposite foot of each foot, or its own ``(E,)``."""
-    columns = {int(joint): column for column, joint in enumerate(feet)}
+    """Return the index of each foot's opposite in ``feet``, or its own ``(E,)``."""
+    column_of_foot = {int(joint): column for column, joint in enumerate(feet)}
     partners = subject.sides.partners[feet].tolist()
     return np.array(
-        [columns.get(joint, column) for column, joint in enumerate(partners)]
+        [column_of_foot.get(joint, column) for column, joint in enumerate(partners)]
     )
 
 
@@ -185,12 +185,12 @@ def _is_at_opposite_height(
 def displacements_around(
     subject: MotionSubject, points: FloatArray, seconds: float
 ) -> tuple[FloatArray, IntArray]:
-    """Return displacements over an interval centred on each frame, and their length.
+    """Return displacements over an interval around each frame, and its frame count.
 
     seconds: approximate interval [s]. Returns displacements ``(F, E, 3)`` [m] and frame
     counts ``(F,)``.
     """
-    count, half_span = len(points), max(1, round(0.5 * seconds / subject.interval))
+    count, half_span = (len(points), max(1, round(0.5 * seconds / subject.interval)))
     frames_before = np.clip(np.arange(count) - half_span, 0, count - 1)
     frames_after = np.clip(np.arange(count) + half_span, 0, count - 1)
     return points[frames_after] - points[frames_before], frames_after - frames_before
@@ -198,8 +198,8 @@ def displacements_around(
 
 def _is_static(subject: MotionSubject, points: FloatArray) -> BoolArray:
     """Return a mask of where points ``(F, E, 3)`` are nearly at rest ``(F, E)``."""
-    moves, frames = displacements_around(subject, points, STATIC_SECONDS)
+    displacements, frame_counts = displacements_around(subject, points, STATIC_SECONDS)
     # At low rates a frame is longer than that interval.
-    max_lengths = STATIC_MOVE * frames * subject.interval / STATIC_SECONDS
-    lengths = np.linalg.norm(moves, axis=2)
+    max_lengths = MAX_STATIC_MOVE * frame_counts * subject.interval / STATIC_SECONDS
+    lengths = np.linalg.norm(displacements, axis=2)
     return np.asarray(lengths < max_lengths[:, None] * subject.size)

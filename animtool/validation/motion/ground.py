@@ -12,72 +12,73 @@ from animtool.maths.runs import runs
 from animtool.rig.body_size import find_feet
 from animtool.validation.motion.body import body_joints, hips_of
 from animtool.validation.motion.contacts import (
-    MIN_CONTACTS,
+    MIN_CONTACT_FRAMES,
     PLANTED_HEIGHT,
     FootStances,
-    contacts_of,
+    find_contacts,
 )
-from animtool.validation.motion.size import body_axis
+from animtool.validation.motion.size import tilted_stance
 from animtool.validation.motion.subject import MotionSubject
 
 # A foot is below ground if it is this far below its contact height [size], for this
 # long [s].
-SUNK_DEPTH, SUNK_SECONDS = 0.04, 0.05
+MIN_SUNK_DEPTH, MIN_SUNK_SECONDS = 0.04, 0.05
 # Longest jump [s] of a person-sized character (2.2 m); for others it scales with the
 # square root of their size.
 MAX_JUMP_SECONDS, PERSON_SIZE = 1.2, 2.2
 # Minimum height of all joints in the air [size].
-AIR_HEIGHT = 0.05
+MIN_AIR_HEIGHT = 0.05
 # On stairs, one foot is on a step within this interval of the other on the ground [s],
 # and steps have at least this height [size].
-STEP_SECONDS, STEP_HEIGHT = 0.8, 0.0375
+STEP_SECONDS, MIN_STEP_HEIGHT = 0.8, 0.0375
 # If the rig rests on 0 of the up axis within this distance, its feet are planted at
 # their rest height [size]. Contacts this far above it float; contacts this far below it
 # are underground.
-ZERO_TOLERANCE, ZERO_OFFSET = 0.06, 0.05
+ZERO_REST_TOLERANCE, MAX_ZERO_OFFSET = 0.06, 0.05
 # Otherwise 0 is assumed to be the ground too, but contacts this far from it have
 # another origin, such as the hips [size].
 OTHER_ORIGIN_OFFSET = 0.25
 # A leg hangs at rest if it extends downwards by this fraction of its length; spread
 # legs do not show the height of feet [1]. Then ankles and toes are at most this high
 # [size], and at least this fraction of it [1].
-HANGING_FRACTION, MAX_ANKLE, MAX_TOE, MIN_HEIGHT_FRACTION = 0.95, 0.08, 0.03, 0.3
+HANGING_FRACTION, MIN_HEIGHT_FRACTION = 0.95, 0.3
+MAX_ANKLE_HEIGHT, MAX_TOE_HEIGHT = 0.08, 0.03
 # Contacts must last this long to show that a complete take is off the ground [s].
 MIN_CONTACT_SECONDS = 0.3
 
 
 def feet_off_ground(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield feet that penetrate the ground or float above it (MOT209).
+    """Yield faults for feet that penetrate the ground or float above it (MOT209).
 
     The ground is 0 of the up axis if the rig rests on it, else the most common height
     of planted feet.
     """
     subject = subject.without_first_pose
-    contacts = contacts_of(subject)
-    if contacts is None or body_axis(subject):
+    contacts = find_contacts(subject)
+    if contacts is None or tilted_stance(subject):
         return
-    offset_faults = list(_constant_offset(subject, contacts))
+    offset_faults = list(_offset_fault(subject, contacts))
     yield from offset_faults or [
-        *_deepest_foot(subject, contacts),
+        *_sunk_foot_fault(subject, contacts),
         *_floating_fault(subject, contacts),
     ]
 
 
-def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
+def _offset_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault if all contacts are at an equal distance from the ground at 0."""
     if not subject.has_rest:
         return
     contact_counts = contacts.is_static.sum(axis=0)
-    min_contacts = max(MIN_CONTACTS, round(MIN_CONTACT_SECONDS / subject.interval))
-    feet_with_contacts = np.flatnonzero(
-        (contact_counts >= min_contacts) & contacts.has_same_height
+    min_count = max(MIN_CONTACT_FRAMES, round(MIN_CONTACT_SECONDS / subject.interval))
+    contact_feet = np.flatnonzero(
+        (contact_counts >= min_count) & contacts.has_same_height
     )
-    if not len(feet_with_contacts):
+    if not len(contact_feet):
         return
-    min_clearance, max_clearance, rests_at_zero = _clearances(
-        subject, contacts.feet[feet_with_contacts]
+    min_clearance, max_clearance, is_resting_at_zero = _clearances(
+        subject, contacts.feet[contact_feet]
     )
-    ground = contacts.ground[feet_with_contacts]
+    ground = contacts.ground[contact_feet]
     offsets = np.where(
         ground < min_clearance,
         ground - min_clearance,
@@ -85,18 +86,18 @@ def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[
     )
     # A heel may stay up: the foot nearest to the ground counts. If the contact heights
     # of feet are unknown, the lowest foot shows them best.
-    nearest_foot = int((np.abs(offsets) if rests_at_zero else ground).argmin())
+    nearest_foot = int((np.abs(offsets) if is_resting_at_zero else ground).argmin())
     offset = float(offsets[nearest_foot])
-    if -SUNK_DEPTH * subject.size < offset < ZERO_OFFSET * subject.size:
+    if -MIN_SUNK_DEPTH * subject.size < offset < MAX_ZERO_OFFSET * subject.size:
         return
-    lowest = subject.heights[:, contacts.feet].min(axis=1)
-    slack = PLANTED_HEIGHT * subject.size if rests_at_zero else 0.0
-    if offset > 0.0 and float(np.percentile(lowest, 5)) < offset - slack:
+    lowest_heights = subject.heights[:, contacts.feet].min(axis=1)
+    tolerance = PLANTED_HEIGHT * subject.size if is_resting_at_zero else 0.0
+    if offset > 0.0 and float(np.percentile(lowest_heights, 5)) < offset - tolerance:
         return
-    if not rests_at_zero and abs(offset) > OTHER_ORIGIN_OFFSET * subject.size:
+    if not is_resting_at_zero and abs(offset) > OTHER_ORIGIN_OFFSET * subject.size:
         return
-    joint = int(contacts.feet[feet_with_contacts[nearest_foot]])
-    frame = int(contacts.is_static[:, feet_with_contacts].any(axis=1).argmax())
+    joint = int(contacts.feet[contact_feet[nearest_foot]])
+    frame = int(contacts.is_static[:, contact_feet].any(axis=1).argmax())
     side = "below" if offset < 0.0 else "above"
     message = (
         f"the feet are {abs(offset):.3g} m {side} the ground, 0 of the up axis; "
@@ -109,15 +110,15 @@ def _constant_offset(subject: MotionSubject, contacts: FootStances) -> Iterator[
 def _clearances(
     subject: MotionSubject, feet: IntArray
 ) -> tuple[FloatArray, FloatArray, bool]:
-    """Return the height range of foot joints above the ground during stance.
+    """Return the heights that foot joints may have above the ground when planted.
 
     Minimum and maximum ``(E,)`` [m], and whether the rig rests on 0 of the up axis.
     Legs that hang at rest define the height; for others only flat feet are assumed.
     """
     rig, rest_size = subject.take.rig, subject.rest_size
     scale = subject.size / rest_size
-    rest_positions = subject.rest
-    heights = rest_positions @ subject.up
+    rest_positions = subject.rest_positions
+    heights = rest_positions @ subject.up_vector
     lowest = float(heights.min())
     parents, hips = rig.parents, hips_of(subject)
     min_clearance = np.zeros(len(feet))
@@ -126,22 +127,24 @@ def _clearances(
     foot_joints = set(find_feet(rig.names).tolist())
     for column, joint in enumerate(feet.tolist()):
         is_toe = int(parents[joint]) in foot_joints
-        max_clearance[column] = (MAX_TOE if is_toe else MAX_ANKLE) * rest_size
+        max_height = MAX_TOE_HEIGHT if is_toe else MAX_ANKLE_HEIGHT
+        max_clearance[column] = max_height * rest_size
         leg = _leg_joints(parents.tolist(), foot_joints, hips, joint)
         if _is_hanging(rest_positions, heights, leg):
             min_clearance[column] = heights[joint] - lowest
         else:
             are_hanging = False
-    rests_at_zero = (
-        are_hanging and -SUNK_DEPTH < 2.0 * lowest / rest_size < 2.0 * ZERO_TOLERANCE
+    is_resting_at_zero = (
+        are_hanging
+        and -MIN_SUNK_DEPTH < 2.0 * lowest / rest_size < 2.0 * ZERO_REST_TOLERANCE
     )
-    if rests_at_zero:
+    if is_resting_at_zero:
         min_clearance = max_clearance = heights[feet]
     else:
         min_ankle_height = MIN_HEIGHT_FRACTION * max_clearance
         max_clearance = np.maximum(min_clearance, max_clearance)
         min_clearance = np.maximum(min_clearance, min_ankle_height)
-    return min_clearance * scale, max_clearance * scale, rests_at_zero
+    return min_clearance * scale, max_clearance * scale, is_resting_at_zero
 
 
 def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> list[int]:
@@ -153,11 +156,11 @@ def _leg_joints(parents: list[int], feet: set[int], hips: int, foot: int) -> lis
     joint = foot
     while parents[joint] in feet:
         joint = parents[joint]
-    chain = [joint]
+    leg = [joint]
     while parents[joint] not in (-1, hips):
         joint = parents[joint]
-        chain.append(joint)
-    return chain
+        leg.append(joint)
+    return leg
 
 
 def _is_hanging(
@@ -169,13 +172,13 @@ def _is_hanging(
     return bool(height > HANGING_FRACTION * bones.sum() > 0.0)
 
 
-def _deepest_foot(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
+def _sunk_foot_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
     """Yield a fault at the foot that is deepest below the ground of its contacts."""
     heights = subject.heights[:, contacts.feet]
     ground, has_ground = _foot_ground(subject, contacts)
     depths = (ground - heights) * has_ground
-    is_deep = depths > SUNK_DEPTH * subject.size
-    min_frames = max(2, round(SUNK_SECONDS / subject.interval))
+    is_deep = depths > MIN_SUNK_DEPTH * subject.size
+    min_frames = max(2, round(MIN_SUNK_SECONDS / subject.interval))
     sunk_runs = []
     for column in range(len(contacts.feet)):
         for first_frame, end_frame in runs(is_deep[:, column]):
@@ -205,17 +208,17 @@ def _foot_ground(
     If one foot is planted at 0 of the up axis, as at rest, and the other one lower, 0
     is the ground of both.
     """
-    ground, has_ground = contacts.ground.copy(), contacts.has_same_height.copy()
+    ground_heights, has_ground = contacts.ground.copy(), contacts.has_same_height.copy()
     if not subject.has_rest or has_ground.all():
-        return ground, has_ground
-    _, shared_ground, rests_at_zero = _clearances(subject, contacts.feet)
-    higher_ground = np.maximum(ground, ground[contacts.partners])
+        return ground_heights, has_ground
+    _, shared_ground, is_resting_at_zero = _clearances(subject, contacts.feet)
+    higher_ground = np.maximum(ground_heights, ground_heights[contacts.partners])
     is_split = contacts.is_level & contacts.is_level[contacts.partners] & ~has_ground
     is_split &= np.abs(higher_ground - shared_ground) < PLANTED_HEIGHT * subject.size
-    if rests_at_zero:
-        ground = np.where(is_split, higher_ground, ground)
+    if is_resting_at_zero:
+        ground_heights = np.where(is_split, higher_ground, ground_heights)
         has_ground = has_ground | is_split
-    return ground, has_ground
+    return ground_heights, has_ground
 
 
 def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:
@@ -226,16 +229,16 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
     ground = float(contacts.floor[has_floor].min())
     clearance = subject.heights[:, contacts.feet[has_floor]] - contacts.floor[has_floor]
     lowest_heights = subject.heights[:, body_joints(subject)].min(axis=1) - ground
-    is_airborne = clearance.min(axis=1) > AIR_HEIGHT * subject.size
-    is_airborne &= lowest_heights > AIR_HEIGHT * subject.size
-    static = contacts.is_static[:, has_floor]
+    is_airborne = clearance.min(axis=1) > MIN_AIR_HEIGHT * subject.size
+    is_airborne &= lowest_heights > MIN_AIR_HEIGHT * subject.size
+    is_static = contacts.is_static[:, has_floor]
     # A file without units may contain a person, whatever its numbers.
     body_size = subject.size if subject.has_units else max(subject.size, PERSON_SIZE)
-    max_frames = MAX_JUMP_SECONDS * np.sqrt(body_size / PERSON_SIZE)
+    max_seconds = MAX_JUMP_SECONDS * np.sqrt(body_size / PERSON_SIZE)
     for first, end in runs(is_airborne):
         last_frame, seconds = end - 1, (end - first) * subject.interval
-        if seconds <= max_frames or _is_climbing(
-            subject, static, clearance, first, last_frame
+        if seconds <= max_seconds or _is_climbing(
+            subject, is_static, clearance, first, last_frame
         ):
             continue
         height = float(lowest_heights[first : last_frame + 1].min())
@@ -253,7 +256,7 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
 
 def _is_climbing(
     subject: MotionSubject,
-    static: BoolArray,
+    is_static: BoolArray,
     clearance: FloatArray,
     first: int,
     last: int,
@@ -261,25 +264,27 @@ def _is_climbing(
     """Return whether the feet climb one by one, as on stairs and ladders.
 
     Their first or last contacts in a run are at several heights; or shortly before or
-    after the run, one foot is high and the other on the ground. ``static`` and
+    after the run, one foot is high and the other on the ground. ``is_static`` and
     ``clearance`` ``(F, E)`` [m].
     """
     size = subject.size
     window = max(1, round(STEP_SECONDS / subject.interval))
-    is_high = clearance > AIR_HEIGHT * size
+    is_high = clearance > MIN_AIR_HEIGHT * size
     is_low = np.abs(clearance) < PLANTED_HEIGHT * size
-    is_step = np.asarray((static & is_high).any(axis=1) & (static & is_low).any(axis=1))
+    is_step = np.asarray(
+        (is_static & is_high).any(axis=1) & (is_static & is_low).any(axis=1)
+    )
     steps_before, steps_after = (
         is_step[max(first - window, 0) : first],
         is_step[last + 1 :],
     )
     if steps_before.any() or steps_after[:window].any():
         return True
-    run_contacts, run_heights = static[first : last + 1], clearance[first : last + 1]
-    has_contact = np.flatnonzero(run_contacts.any(axis=0))
+    run_contacts, run_heights = is_static[first : last + 1], clearance[first : last + 1]
+    columns = np.flatnonzero(run_contacts.any(axis=0))
     for direction in (slice(None), slice(None, None, -1)):
-        first_contacts = np.argmax(run_contacts[direction], axis=0)[has_contact]
-        contact_heights = run_heights[direction][first_contacts, has_contact]
-        if len(has_contact) and float(np.ptp(contact_heights)) > STEP_HEIGHT * size:
+        first_contacts = np.argmax(run_contacts[direction], axis=0)[columns]
+        contact_heights = run_heights[direction][first_contacts, columns]
+        if len(columns) and float(np.ptp(contact_heights)) > MIN_STEP_HEIGHT * size:
             return True
     return False

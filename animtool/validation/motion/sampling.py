@@ -16,40 +16,40 @@ from animtool.validation.motion.body import limbs_of
 from animtool.validation.motion.subject import MotionSubject
 
 # A time code closer to a frame than this is that frame, up to rounding [time codes].
-CODE_ROUNDING = 1e-6
+TIME_CODE_ROUNDING = 1e-6
 # Farther from a frame, a sample is intentional, such as for motion blur [time codes].
-REGULAR_SAMPLE = 0.05
+MAX_MISALIGNMENT = 0.05
 # Fraction of unevenly spaced samples that may be off the frames; more of them form a
 # separate grid [1].
-MIN_OFF_FRAME_FRACTION = 0.25
+MIN_GRID_FRACTION = 0.25
 # The stated range may begin and end this far from the samples [time codes].
 RANGE_TOLERANCE = 1.0
 # Largest extension of the range before and after the samples, as a fraction of their
 # span: poses are often held [1].
-EARLY_FRACTION, LATE_FRACTION = 0.02, 0.1
+EARLY_RANGE_FRACTION, LATE_RANGE_FRACTION = 0.02, 0.1
 
 
 def samples_off_frames(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if samples are not on whole frames (MOT216)."""
-    codes = subject.codes
-    if codes is None or len(codes) < 2:
+    time_codes = subject.time_codes
+    if time_codes is None or len(time_codes) < 2:
         return
-    offsets = codes - np.round(codes)
-    is_off_frame = np.abs(offsets) > CODE_ROUNDING
-    is_misaligned = is_off_frame & (np.abs(offsets) < REGULAR_SAMPLE)
-    if float(is_off_frame.mean()) < MIN_OFF_FRAME_FRACTION:
+    offsets = time_codes - np.round(time_codes)
+    is_off_frame = np.abs(offsets) > TIME_CODE_ROUNDING
+    is_misaligned = is_off_frame & (np.abs(offsets) < MAX_MISALIGNMENT)
+    if float(is_off_frame.mean()) < MIN_GRID_FRACTION:
         is_misaligned = is_off_frame
     if is_misaligned.any():
         farthest_sample = int(np.where(is_misaligned, np.abs(offsets), 0.0).argmax())
         message = (
-            f"{np.count_nonzero(is_misaligned)} of {len(codes)} samples are off the "
-            f"frame, by up to {abs(offsets[farthest_sample]):.3g} time codes, at "
-            f"{codes[farthest_sample]:.10g}"
+            f"{np.count_nonzero(is_misaligned)} of {len(time_codes)} samples are off "
+            f"the frame, by up to {abs(offsets[farthest_sample]):.3g} time codes, at "
+            f"{time_codes[farthest_sample]:.10g}"
         )
     else:
-        steps = np.diff(codes)
-        is_integral = np.abs(steps - np.round(steps)) < CODE_ROUNDING
-        if not is_integral.all() or abs(offsets[0]) <= CODE_ROUNDING:
+        steps = np.diff(time_codes)
+        is_integral = np.abs(steps - np.round(steps)) < TIME_CODE_ROUNDING
+        if not is_integral.all() or abs(offsets[0]) <= TIME_CODE_ROUNDING:
             return
         farthest_sample = 0
         message = f"all samples are {offsets[0]:+.3g} time codes off the frame"
@@ -62,14 +62,18 @@ def range_without_samples(subject: MotionSubject) -> Iterator[Fault]:
 
     Samples outside the range are reported as USD256.
     """
-    if subject.frame_range is None or subject.codes is None or subject.frames < 2:
+    if (
+        subject.frame_range is None
+        or subject.time_codes is None
+        or subject.frame_count < 2
+    ):
         return
     range_start, range_end = subject.frame_range
-    first_code, last_code = float(subject.codes[0]), float(subject.codes[-1])
+    first_code, last_code = float(subject.time_codes[0]), float(subject.time_codes[-1])
     lead, tail = first_code - range_start, range_end - last_code
     sample_span = last_code - first_code
-    is_early = lead > max(RANGE_TOLERANCE, EARLY_FRACTION * sample_span)
-    is_late = tail > max(RANGE_TOLERANCE, LATE_FRACTION * sample_span)
+    is_early = lead > max(RANGE_TOLERANCE, EARLY_RANGE_FRACTION * sample_span)
+    is_late = tail > max(RANGE_TOLERANCE, LATE_RANGE_FRACTION * sample_span)
     if range_start > last_code or range_end < first_code or not (is_early or is_late):
         return
     message = (
@@ -84,17 +88,17 @@ def range_without_samples(subject: MotionSubject) -> Iterator[Fault]:
 # With fewer frames there is no typical step.
 MIN_FRAMES = 12
 # With fewer moving joints, a lost frame looks like a key [1].
-MIN_JOINTS = 4
+MIN_MOVING_JOINTS = 4
 # A step over lost frames is as long as theirs together; up to this many are tested,
 # more are a cut [1]. At most this fraction of the squared difference to a single step
 # may remain: in captures, steps with consistent joints leave .45 or more [1].
-MAX_LOST_FRAMES, MAX_REMAINDER = 6, 0.35
+MAX_LOST_FRAMES, MAX_LOSS_REMAINDER = 6, 0.35
 # If few joints move, all of them must agree, with at most this remainder [1].
-MAX_FEW_REMAINDER, MIN_FEW_STEPS = 0.06, 2
+MAX_SPARSE_REMAINDER, MIN_SPARSE_JOINTS = 0.06, 2
 # A loss must be this many times farther from its prediction than most steps in blocks
 # of this many frames [1]. Joints are not assumed smoother than this fraction of a
 # typical step (text with few digits), or than this [rad].
-OUTLIER_RATIO, BLOCK_FRAMES, MIN_ROUGHNESS, MIN_NOISE = 5.0, 40, 0.02, 1e-5
+OUTLIER_RATIO, BLOCK_FRAMES, MIN_ROUGHNESS, MIN_JOINT_NOISE = 5.0, 40, 0.02, 1e-5
 # A joint can show a loss if its step is this many times the typical deviation [1].
 SIGNIFICANT_RATIO = 4.0
 # Gaps between samples are longer than this many steps [1].
@@ -103,62 +107,69 @@ GAP_RATIO = 1.6
 REPEAT_WINDOW = 3
 # Minimum speed relative to the typical one: below, there is no loss, and no motion that
 # stops [1].
-MIN_LOSS_PACE = 0.3
+MIN_SPEED_RATIO = 0.3
 # Minimum fraction of the joints that must show a loss, since a single joint may pop
 # [1].
 MIN_JOINT_FRACTION = 0.5
 # Joints that move at most this many steps contradict a loss. Their fraction, weighted
 # by squared steps, is limited; and if there are not few joints, so is the remaining
 # difference [1].
-CONTRADICTING_STEPS = 1.25
-MAX_CONTRADICTING_FEW = 0.15
-MAX_CONTRADICTING = 0.4
-GOOD_REMAINDER = 0.2
+MAX_CONTRADICTING_STEPS = 1.25
+MAX_CONSISTENT_FRACTION = 0.15
+MAX_CONTRADICTING_FRACTION = 0.4
+MAX_GOOD_REMAINDER = 0.2
 # If hardly any difference remains, fast joints such as a landing foot may contradict,
 # and fewer joints must agree [1].
-CERTAIN_REMAINDER, CERTAIN_CONTRADICTING, CERTAIN_JOINTS = 0.04, 0.8, 0.4
+CERTAIN_REMAINDER, CERTAIN_CONTRADICTING, CERTAIN_JOINT_FRACTION = 0.04, 0.8, 0.4
 # If few joints show a loss, they must be this fraction of all moving ones, and in two
 # limbs [1].
-MIN_FEW_PACE = 0.1
+MIN_SPARSE_FRACTION = 0.1
 # Speed relative to the typical one below which a frame is repeated, even in text of
 # four digits [1].
 STATIC_SPEED = 1e-4
 # Repeats this regular and this many indicate a lower frame rate; with at least one
 # repeat per this many frames [1].
-REGULAR_FRACTION, MIN_REPEATS, MAX_PERIOD = 0.8, 5, 12
+REGULAR_FRACTION, MIN_REPEATS, MAX_REPEAT_PERIOD = 0.8, 5, 12
 # With a larger fraction of repeats, a take is keyed in poses and does not freeze [1].
 MAX_STATIC_FRACTION = 0.5
 
 
 def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield steps that cover two or more frames of smooth motion (MOT205).
+    """Report steps that cover two or more frames of smooth motion (MOT205).
 
     In a file with time codes a lost frame is a gap between them.
     """
     yield from _sample_gaps(subject)
-    if subject.frames < MIN_FRAMES or len(_animated_columns(subject)) < MIN_JOINTS:
+    if (
+        subject.frame_count < MIN_FRAMES
+        or len(_column_joints(subject)) < MIN_MOVING_JOINTS
+    ):
         return
-    ratios, is_lost = _find_losses(subject)
-    frames = np.flatnonzero(is_lost)
-    if not len(frames):
+    step_lengths, is_lost = _find_lost_steps(subject)
+    losses = np.flatnonzero(is_lost)
+    if not len(losses):
         return
-    step = int(frames[0])
-    count = max(1, round(float(ratios[step])) - 1)
-    repeat_text = f"; so are {len(frames) - 1} more steps" if len(frames) > 1 else ""
+    first_step = int(losses[0])
+    lost_count = max(1, round(float(step_lengths[first_step])) - 1)
+    repeat_text = f"; so are {len(losses) - 1} more steps" if len(losses) > 1 else ""
     message = (
-        f"all joints move {ratios[step]:.0f} times as far from frame "
-        f"{subject.time_text(step)} to {subject.time_text(step + 1)} as nearby: "
-        f"{counted(count, 'frame')} lost{repeat_text}"
+        f"all joints move {step_lengths[first_step]:.0f} times as far from frame "
+        f"{subject.time_text(first_step)} to {subject.time_text(first_step + 1)} as "
+        f"nearby: {counted(lost_count, 'frame')} lost{repeat_text}"
     )
     hint = "record or export the take again, or insert the missing frame"
-    yield subject.fault("MOT205", None, step, message, hint)
+    yield subject.fault("MOT205", None, first_step, message, hint)
 
 
 def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault for each gap between the time codes of samples."""
-    if subject.codes is None or subject.is_reduced or subject.frames < MIN_FRAMES:
+    if (
+        subject.time_codes is None
+        or subject.is_reduced
+        or subject.frame_count < MIN_FRAMES
+    ):
         return
-    gaps = np.diff(subject.codes)
+    gaps = np.diff(subject.time_codes)
     typical_gap = float(np.median(gaps))
     ratios = gaps / typical_gap
     is_even = np.abs(ratios - 1.0) < 0.25
@@ -167,20 +178,20 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
     if not len(gap_indices) or np.count_nonzero(is_even) < 0.9 * len(gaps):
         return
     gap_index = int(gap_indices[0])
-    count = max(1, round(float(ratios[gap_index])) - 1)
+    lost_count = max(1, round(float(ratios[gap_index])) - 1)
     other_count = len(gap_indices) - 1
     repeat_text = f"; there are {other_count} more gaps" if other_count else ""
     message = (
         f"no sample between time codes {subject.time_text(gap_index)} and "
         f"{subject.time_text(gap_index + 1)}, though one is due every {typical_gap:g}: "
-        f"{counted(count, 'sample')} lost{repeat_text}"
+        f"{counted(lost_count, 'sample')} lost{repeat_text}"
     )
     hint = "export the take again; USD interpolates across the gap"
     yield subject.fault("MOT205", None, gap_index, message, hint)
 
 
-def _animated_columns(subject: MotionSubject) -> IntArray:
-    """Return the joint of each column of `_step_vectors`."""
+def _column_joints(subject: MotionSubject) -> IntArray:
+    """Return the joint index of each column of `_step_vectors` ``(N,)``."""
     return np.concatenate([subject.rotating_joints, subject.translating_joints])
 
 
@@ -190,71 +201,73 @@ def _step_vectors(subject: MotionSubject) -> FloatArray:
     return np.concatenate([subject.rotation_steps, shifts], axis=1)
 
 
-def _find_losses(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
-    """Return the length of each step in frames, and a mask of steps with loss ``(S,)``.
+def _find_lost_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
+    """Return how many frames each step covers, and a mask of those with loss ``(S,)``.
 
     A loss is a step that is far from the prediction of a single step by its two
     neighbours on either side, and near their prediction of several steps.
     """
     steps = _step_vectors(subject)
-    count = len(steps)
-    ratios, is_lost = np.ones(count), np.zeros(count, bool)
+    step_count = len(steps)
+    step_lengths, is_lost = np.ones(step_count), np.zeros(step_count, bool)
     steps_before_2, steps_before_1, middle_steps, steps_after_1, steps_after_2 = (
-        steps[i : count - 4 + i] for i in range(5)
+        steps[i : step_count - 4 + i] for i in range(5)
     )
     near_steps = 0.5 * (steps_before_1 + steps_after_1)
     far_steps = 0.5 * (steps_before_2 + steps_after_2)
     predicted_step = _predicted_step(near_steps, far_steps, 0)
-    deviations = _squared_lengths(middle_steps - predicted_step)
+    squared_deviations = _squared_lengths(middle_steps - predicted_step)
     squared_steps = _squared_lengths(predicted_step)
-    noise = (
-        _typical_squares(deviations)
+    variance = (
+        _typical_squares(squared_deviations)
         + (MIN_ROUGHNESS**2) * np.median(squared_steps, axis=0)
-        + MIN_NOISE**2
+        + MIN_JOINT_NOISE**2
     )
-    is_significant = squared_steps > SIGNIFICANT_RATIO**2 * noise
+    is_significant = squared_steps > SIGNIFICANT_RATIO**2 * variance
     is_significant &= squared_steps > 0.001 * squared_steps.max(axis=1, keepdims=True)
     significant_count = is_significant.sum(axis=1)
-    weighted_deviation = (is_significant * deviations / noise).sum(axis=1)
+    weighted_deviation = (is_significant * squared_deviations / variance).sum(axis=1)
     total_steps = np.sqrt(squared_steps.sum(axis=1))
-    is_possible = (significant_count >= MIN_FEW_STEPS) & (
+    is_possible = (significant_count >= MIN_SPARSE_JOINTS) & (
         weighted_deviation > OUTLIER_RATIO**2 * significant_count
     )
-    is_possible &= total_steps > MIN_LOSS_PACE * np.median(total_steps)
-    is_possible &= ~(subject.cuts() | _near_repeats(subject))[2:-2]
+    is_possible &= total_steps > MIN_SPEED_RATIO * np.median(total_steps)
+    is_possible &= ~(subject.cut_mask() | _near_repeats(subject))[2:-2]
     products = np.einsum("snc,snc->sn", middle_steps, predicted_step)
-    is_contradicting = products < CONTRADICTING_STEPS * squared_steps
+    is_contradicting = products < MAX_CONTRADICTING_STEPS * squared_steps
     loss_weight = (is_significant * squared_steps).sum(axis=1)
     contradicting_weight = (is_significant * is_contradicting * squared_steps).sum(
         axis=1
     )
     contradicting_weight /= np.maximum(loss_weight, np.finfo(float).tiny)
     is_possible &= contradicting_weight < CERTAIN_CONTRADICTING
-    is_consistent = contradicting_weight < MAX_CONTRADICTING_FEW
-    max_remainder = np.where(is_consistent, MAX_REMAINDER, GOOD_REMAINDER)
+    is_consistent = contradicting_weight < MAX_CONSISTENT_FRACTION
+    max_remainder = np.where(is_consistent, MAX_LOSS_REMAINDER, MAX_GOOD_REMAINDER)
     max_remainder = max_remainder * weighted_deviation
     for lost_count in range(1, MAX_LOST_FRAMES + 1):
         prediction = _predicted_step(near_steps, far_steps, lost_count)
         remaining_squares = _squared_lengths(middle_steps - prediction)
-        weighted_remaining = (is_significant * remaining_squares / noise).sum(axis=1)
-        is_better = is_significant & (remaining_squares < 0.5 * deviations)
+        weighted_remaining = (is_significant * remaining_squares / variance).sum(axis=1)
+        is_better = is_significant & (remaining_squares < 0.5 * squared_deviations)
         better_count = is_better.sum(axis=1)
         is_loss = weighted_remaining < max_remainder
         is_loss &= better_count > MIN_JOINT_FRACTION * significant_count
-        is_loss &= contradicting_weight < MAX_CONTRADICTING
+        is_loss &= contradicting_weight < MAX_CONTRADICTING_FRACTION
         is_loss |= (weighted_remaining < CERTAIN_REMAINDER * weighted_deviation) & (
-            better_count > CERTAIN_JOINTS * significant_count
+            better_count > CERTAIN_JOINT_FRACTION * significant_count
         )
         better_steps = (is_better * squared_steps).sum(axis=1)
-        is_few_loss = weighted_remaining < MAX_FEW_REMAINDER * weighted_deviation
-        is_few_loss &= better_count == significant_count
-        is_few_loss &= better_steps > MIN_FEW_PACE * squared_steps.sum(axis=1)
-        is_few_loss &= _in_two_limbs(subject, is_better)
-        is_loss = np.where(significant_count >= MIN_JOINTS, is_loss, is_few_loss)
+        is_sparse_loss = weighted_remaining < MAX_SPARSE_REMAINDER * weighted_deviation
+        is_sparse_loss &= better_count == significant_count
+        is_sparse_loss &= better_steps > MIN_SPARSE_FRACTION * squared_steps.sum(axis=1)
+        is_sparse_loss &= _in_two_limbs(subject, is_better)
+        is_loss = np.where(
+            significant_count >= MIN_MOVING_JOINTS, is_loss, is_sparse_loss
+        )
         is_loss &= is_possible
-        ratios[2:-2][is_loss & ~is_lost[2:-2]] = lost_count + 1.0
+        step_lengths[2:-2][is_loss & ~is_lost[2:-2]] = lost_count + 1.0
         is_lost[2:-2] |= is_loss
-    return ratios, is_lost
+    return step_lengths, is_lost
 
 
 def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
@@ -264,17 +277,19 @@ def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
     moves as far as in several steps counts as two limbs. ``is_flagged``: mask of
     flagged columns ``(S, N)``.
     """
-    limbs = limbs_of(subject.take.rig.parents)[_animated_columns(subject)]
+    limbs = limbs_of(subject.take.rig.parents)[_column_joints(subject)]
     is_translating = np.arange(len(limbs)) >= len(subject.rotating_joints)
     limbs = np.where(is_translating & (limbs < 0), -2, limbs)
-    flags = [is_flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)]
-    return np.asarray(np.sum(flags, axis=0) > 1)
+    is_limb_flagged = [
+        is_flagged[:, limbs == limb].any(axis=1) for limb in np.unique(limbs)
+    ]
+    return np.asarray(np.sum(is_limb_flagged, axis=0) > 1)
 
 
 def _predicted_step(
     near_steps: FloatArray, far_steps: FloatArray, lost_count: int
 ) -> FloatArray:
-    """Return the step over lost frames, extrapolated from the neighbouring steps.
+    """Extrapolate the step over lost frames from the steps around it ``(S, N, 3)``.
 
     ``near_steps`` and ``far_steps`` ``(S, N, 3)`` are the means of the first, and of
     the second, steps before and after. The prediction integrates the symmetric parabola
@@ -299,27 +314,29 @@ def _typical_squares(squares: FloatArray) -> FloatArray:
 
     The maximum is taken over the block of the row and the two neighbouring blocks.
     """
-    count = len(squares)
-    block_count = max(1, count // BLOCK_FRAMES)
-    edges = np.linspace(0, count, block_count + 1).astype(int)
-    blocks = [squares[start:end] for start, end in pairwise(edges.tolist())]
+    row_count = len(squares)
+    block_count = max(1, row_count // BLOCK_FRAMES)
+    block_edges = np.linspace(0, row_count, block_count + 1).astype(int)
+    blocks = [squares[start:end] for start, end in pairwise(block_edges.tolist())]
     medians = np.stack([np.median(block, axis=0) for block in blocks])
-    padded = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
-    largest_medians = np.maximum(np.maximum(padded[:-2], padded[1:-1]), padded[2:])
-    return np.asarray(np.repeat(largest_medians, np.diff(edges), axis=0))
+    padded_medians = np.pad(medians, ((1, 1), (0, 0)), mode="edge")
+    largest_medians = np.maximum(
+        np.maximum(padded_medians[:-2], padded_medians[1:-1]), padded_medians[2:]
+    )
+    return np.asarray(np.repeat(largest_medians, np.diff(block_edges), axis=0))
 
 
 def _near_repeats(subject: MotionSubject) -> BoolArray:
     """Return a mask of steps near a repeated frame, where speeds are unreliable."""
     is_static = subject.speeds < STATIC_SPEED * np.median(subject.speeds)
-    padded = np.pad(is_static, REPEAT_WINDOW)
-    windows = sliding_window_view(padded, 2 * REPEAT_WINDOW + 1)
+    padded_mask = np.pad(is_static, REPEAT_WINDOW)
+    windows = sliding_window_view(padded_mask, 2 * REPEAT_WINDOW + 1)
     return np.asarray(windows.any(axis=1))
 
 
 def _repeated_steps(subject: MotionSubject) -> BoolArray | None:
-    """Return a mask of steps without motion; None if most motion is like that."""
-    if subject.frames < MIN_FRAMES or len(_animated_columns(subject)) < 2:
+    """Return a mask of steps without motion; None if too few steps have motion."""
+    if subject.frame_count < MIN_FRAMES or len(_column_joints(subject)) < 2:
         return None
     speeds = subject.speeds
     moving_speeds = speeds[speeds > STATIC_SPEED * speeds.max()]
@@ -335,25 +352,25 @@ def _repeated_frames(subject: MotionSubject) -> tuple[BoolArray, bool]:
         return np.zeros(0, bool), False
     speeds = subject.speeds
     typical_speed = float(np.median(speeds[speeds > STATIC_SPEED * speeds.max()]))
-    min_speed = MIN_LOSS_PACE * typical_speed
+    min_speed = MIN_SPEED_RATIO * typical_speed
     is_repeat = np.zeros(len(is_static), bool)
-    starts = []
+    repeat_starts = []
     for first, end in runs(is_static):
         # The motion stops abruptly before these steps, and resumes after.
         is_inside = first > 0 and end < len(speeds)
         if is_inside and min(speeds[first - 1], speeds[end]) > min_speed:
             is_repeat[first:end] = True
-            starts.append(first)
-    gaps = np.diff(starts)
-    if len(gaps) < MIN_REPEATS:
+            repeat_starts.append(first)
+    repeat_gaps = np.diff(repeat_starts)
+    if len(repeat_gaps) < MIN_REPEATS:
         return is_repeat, False
-    typical_gap = float(np.median(gaps))
-    is_regular = float(np.mean(np.abs(gaps - typical_gap) <= 1.0)) >= REGULAR_FRACTION
-    return is_repeat, is_regular and typical_gap <= MAX_PERIOD
+    period = float(np.median(repeat_gaps))
+    is_regular = float(np.mean(np.abs(repeat_gaps - period) <= 1.0)) >= REGULAR_FRACTION
+    return is_repeat, is_regular and period <= MAX_REPEAT_PERIOD
 
 
 def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield frames in which all motion stops abruptly and then resumes (MOT206)."""
+    """Report frames in which all motion stops abruptly and then resumes (MOT206)."""
     is_repeat, is_regular = _repeated_frames(subject)
     if is_regular or not is_repeat.any():
         return
@@ -379,7 +396,7 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
         rate = float(subject.take.clock.rate)
         actual_rate = rate * (1.0 - float(is_repeat.mean()))
         message = (
-            f"{np.count_nonzero(is_repeat)} of {subject.frames} frames repeat the "
+            f"{np.count_nonzero(is_repeat)} of {subject.frame_count} frames repeat the "
             f"previous one: the motion has about {actual_rate:.3g} frames per second, "
             f"the take {rate:g}"
         )
@@ -396,16 +413,16 @@ def _is_multiple(ratio: float) -> bool:
     >>> _is_multiple(2.0), _is_multiple(1 / 3), _is_multiple(1.25)
     (True, True, False)
     """
-    ratio_or_inverse = ratio if ratio >= 1.0 else 1.0 / ratio
-    return abs(ratio_or_inverse - round(ratio_or_inverse)) < 0.02
+    multiple = ratio if ratio >= 1.0 else 1.0 / ratio
+    return abs(multiple - round(multiple)) < 0.02
 
 
 def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield a fault if samples are uniform but not on frames or simple subframes."""
-    if subject.codes is None or subject.frames < MIN_FRAMES:
+    """Yield a fault if samples are even, but neither on frames nor on subframes."""
+    if subject.time_codes is None or subject.frame_count < MIN_FRAMES:
         return
-    gaps = np.diff(subject.codes)
-    typical_step = float(np.median(gaps))
+    time_steps = np.diff(subject.time_codes)
+    typical_step = float(np.median(time_steps))
     fps = float(subject.take.clock.fps)
     playback_rate = subject.playback_rate
     if playback_rate is not None and not _is_multiple(fps / playback_rate):
@@ -416,7 +433,7 @@ def _off_grid_step(subject: MotionSubject) -> Iterator[Fault]:
         hint = "author the same framesPerSecond and timeCodesPerSecond"
         yield subject.fault("MOT207", None, 0, message, hint)
         return
-    is_uneven = np.abs(gaps - typical_step).max() > 0.02 * typical_step
+    is_uneven = np.abs(time_steps - typical_step).max() > 0.02 * typical_step
     if is_uneven or _is_multiple(typical_step):
         return
     message = (

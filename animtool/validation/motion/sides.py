@@ -19,7 +19,7 @@ from animtool.validation.motion.subject import MotionSubject
 
 # Files of a bind pose often have two equal frames, since players need two, and some
 # last two seconds: from a longer take the recording is missing [frame], [s].
-BIND_FRAMES, MAX_BIND_SECONDS = 2, 2.0
+BIND_FRAME_COUNT, MAX_BIND_SECONDS = 2, 2.0
 # Joints that move a rigid mesh or hold something, and so need no weights.
 RIGID_NAMES = re.compile(
     r"eye|jaw|teeth|tongue|lid|prop|weapon|attach|socket|target"
@@ -27,20 +27,20 @@ RIGID_NAMES = re.compile(
     re.IGNORECASE,
 )
 # A smaller scale makes geometry invisible [1].
-MIN_SCALE = 1e-4
+MIN_VISIBLE_SCALE = 1e-4
 # Weights beyond 1 exaggerate; larger ones are in percent, or wrong [1].
 MAX_WEIGHT, MIN_WEIGHT = 2.0, -1.0
 MIN_PERCENT_WEIGHT = 10.0
 # Largest length ratio of bones between bind and rest pose, and the fraction of bones
 # that may exceed it; and the largest distance of the bind pose [size].
-MAX_LENGTH_RATIO, MAX_BONES, MAX_BIND_DISTANCE = 2.0, 0.5, 1.5
+MAX_BONE_RATIO, MAX_DIFFERENT_FRACTION, MAX_BIND_DISTANCE = 2.0, 0.5, 1.5
 MIN_BONE_LENGTH = 0.02
 
 
 def motionless_take(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if no joint or shape moves (MOT201)."""
     motion = subject.take.motion
-    if motion.frames <= BIND_FRAMES:
+    if motion.frames <= BIND_FRAME_COUNT:
         return
     channels = (motion.translations, motion.rotations, motion.scales, motion.weights)
     if any(channel is not None and len(channel.animated) for channel in channels):
@@ -54,27 +54,30 @@ def motionless_take(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield joints with zero scale (MOT218)."""
+    """Yield a fault if joints are scaled to almost 0 along an axis (MOT218)."""
     scales = subject.take.motion.scales
     if scales is None:
         return
     values = scales.dense()
-    is_zero = np.asarray(np.abs(values).min(axis=2) < MIN_SCALE)
-    joints = np.flatnonzero(is_zero.any(axis=0))
-    if not len(joints):
+    is_zero = np.asarray(np.abs(values).min(axis=2) < MIN_VISIBLE_SCALE)
+    zero_joints = np.flatnonzero(is_zero.any(axis=0))
+    if not len(zero_joints):
         return
-    names = [subject.take.rig.joints[joint].name for joint in joints.tolist()]
-    frames = np.flatnonzero(is_zero.any(axis=1))
+    names = [subject.take.rig.joints[joint].name for joint in zero_joints.tolist()]
+    zero_frames = np.flatnonzero(is_zero.any(axis=1))
     message = (
         f"{listed([repr(name) for name in names])} scaled to 0 in "
-        f"{counted(len(frames), 'frame')}, first at {subject.time_text(int(frames[0]))}"
+        f"{counted(len(zero_frames), 'frame')}, first at "
+        f"{subject.time_text(int(zero_frames[0]))}"
     )
     hint = "everything below it vanishes; hide meshes with their visibility"
-    yield subject.fault("MOT218", int(joints[0]), int(frames[0]), message, hint)
+    yield subject.fault(
+        "MOT218", int(zero_joints[0]), int(zero_frames[0]), message, hint
+    )
 
 
 def large_weights(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield shapes with weights far outside 0 to 1 (MOT219)."""
+    """Yield a fault if shape weights are far outside 0 to 1 (MOT219)."""
     weights = subject.take.motion.weights
     # A clip with such keys is reported when it is read.
     is_reported = any(notice.code == "CLIP121" for notice in subject.take.notices)
@@ -95,10 +98,10 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
         f"{subject.time_text(int(frame))}"
     )
     message += f"; also {listed(other_names)}" if other_names else ""
-    largest = float(np.abs(values).max())
+    largest_weight = float(np.abs(values).max())
     hint = "weights must be from 0 to 1"
-    if largest > MIN_PERCENT_WEIGHT:
-        hint += f"; {percent_hint(largest)}"
+    if largest_weight > MIN_PERCENT_WEIGHT:
+        hint += f"; {percent_hint(largest_weight)}"
     yield subject.fault("MOT219", None, int(frame), message, hint)
 
 
@@ -106,22 +109,22 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if bind and rest pose differ in size or position (MOT220)."""
     if subject.bind_positions is None or not subject.has_rest:
         return
-    rig, bind, rest = subject.take.rig, subject.bind_positions, subject.rest
+    rig, bind, rest = subject.take.rig, subject.bind_positions, subject.rest_positions
     distance = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
     parents = rig.parents
-    bones = np.flatnonzero(parents >= 0)
-    lengths = np.linalg.norm(rest[bones] - rest[parents[bones]], axis=1)
+    bone_ids = np.flatnonzero(parents >= 0)
+    lengths = np.linalg.norm(rest[bone_ids] - rest[parents[bone_ids]], axis=1)
     is_measured = lengths > MIN_BONE_LENGTH * subject.size
-    bones, lengths = bones[is_measured], lengths[is_measured]
-    ratios = np.linalg.norm(bind[bones] - bind[parents[bones]], axis=1) / lengths
-    is_different = (ratios > MAX_LENGTH_RATIO) | (ratios < 1.0 / MAX_LENGTH_RATIO)
+    bone_ids, lengths = bone_ids[is_measured], lengths[is_measured]
+    ratios = np.linalg.norm(bind[bone_ids] - bind[parents[bone_ids]], axis=1) / lengths
+    is_different = (ratios > MAX_BONE_RATIO) | (ratios < 1.0 / MAX_BONE_RATIO)
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
-    if len(bones) and float(is_different.mean()) > MAX_BONES:
+    if len(bone_ids) and float(is_different.mean()) > MAX_DIFFERENT_FRACTION:
         most_different = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
-        joint = int(bones[most_different])
+        joint = int(bone_ids[most_different])
         message = (
-            f"{np.count_nonzero(is_different)} of {len(bones)} bones have a different "
-            f"length in the bind pose; that to {rig.joints[joint].name!r} is "
+            f"{np.count_nonzero(is_different)} of {len(bone_ids)} bones have a "
+            f"different length in the bind pose; that to {rig.joints[joint].name!r} is "
             f"{plain_number(ratios[most_different])} times its rest length"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
@@ -144,7 +147,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
 
 
 def joints_without_influence(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield the joints that influence no point of a mesh (MOT221)."""
+    """Yield a fault if joints influence no point of any mesh (MOT221)."""
     if subject.influencing_joints is None:
         return
     rig = subject.take.rig
@@ -168,13 +171,13 @@ def joints_without_influence(subject: MotionSubject) -> Iterator[Fault]:
 # rotates by more [rad].
 STATIC_ANGLE, ACTIVE_ANGLE = 1e-6, math.radians(20.0)
 # Shorter takes are a pose [s].
-MIN_SECONDS = 0.2
+MIN_TAKE_SECONDS = 0.2
 # Minimum rotation of each swapped joint, and of all of them together [rad].
 MIN_SWAP_ANGLE, MIN_TOTAL_SWAP_ANGLE = math.radians(8.0), math.radians(30.0)
 # Minimum number of steps, so that both sides move before and after a swap.
-MIN_STEPS = 5
+MIN_SWAP_FRAMES = 5
 # Fewer pairs that swap simultaneously are just a pose.
-MIN_PAIRS = 2
+MIN_SWAPPED_PAIRS = 2
 # When two joints swap, continuing the other's motion leaves at most this fraction of
 # the deviation from continuing the own motion [1].
 MAX_SWAP_RATIO = 0.35
@@ -183,7 +186,7 @@ MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_EXCHANGE = 0.1, math.radians(20.0)
 
 
 def _side_pairs(subject: MotionSubject) -> list[tuple[int, int]]:
-    """Return the index pairs of left and right joints."""
+    """Return index pairs of left and right joints, matched by their names."""
     partners = subject.sides.partners
     return [(left, int(partners[left])) for left in subject.sides.left]
 
@@ -217,7 +220,7 @@ def _side_swaps(
     rotations = subject.take.motion.rotations
     moving_joints = set(rotations.animated.tolist())
     pairs = [pair for pair in pairs if moving_joints.issuperset(pair)]
-    if not pairs or subject.frames < MIN_STEPS:
+    if not pairs or subject.frame_count < MIN_SWAP_FRAMES:
         return
     left = rotations.gather(np.array([pair[0] for pair in pairs]))
     right = rotations.gather(np.array([pair[1] for pair in pairs]))
@@ -229,9 +232,9 @@ def _side_swaps(
     is_swapped = from_same_side > MIN_SWAP_ANGLE
     is_swapped &= from_other_side < MAX_SWAP_RATIO * from_same_side
     is_swapped &= _is_continuous_swap(steps, from_same_side, reverse_from_same[::-1])
-    is_swapped &= ~subject.cuts()[:, None]
+    is_swapped &= ~subject.cut_mask()[:, None]
     total_angle = np.where(is_swapped, from_same_side, 0.0).sum(axis=1)
-    has_enough_pairs = is_swapped.sum(axis=1) >= min(MIN_PAIRS, len(pairs))
+    has_enough_pairs = is_swapped.sum(axis=1) >= min(MIN_SWAPPED_PAIRS, len(pairs))
     is_certain = from_same_side > MIN_SINGLE_EXCHANGE
     is_certain &= from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
     is_large_swap = (total_angle > MIN_TOTAL_SWAP_ANGLE) & has_enough_pairs
@@ -254,7 +257,10 @@ def _side_swaps(
 def _side_deviations(
     left: FloatArray, right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return deviations from the motion of the same and of the opposite side [rad]."""
+    """Return angles to what each side would continue, own and opposite ``(F - 1, P)``.
+
+    The first is the smaller one of both sides, the second the larger one [rad].
+    """
     same_side = np.minimum(
         _extrapolation_error(left, left), _extrapolation_error(right, right)
     )
@@ -296,13 +302,14 @@ def _is_continuous_swap(
 
 
 def motionless_side(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield joints that never rotate although their opposites do (MOT211)."""
+    """Yield a fault if joints never rotate although their opposites do (MOT211)."""
     channel = subject.take.motion.rotations
     roots = [*subject.take.rig.roots, *body_carriers(subject)]
     moving_joints = [*subject.rotating_joints, *subject.translating_joints]
     # With a static root, parts were keyed one by one, and one arm may wave alone.
     has_static_root = set(roots).isdisjoint(moving_joints)
-    if (subject.frames - 1) * subject.interval < MIN_SECONDS or has_static_root:
+    seconds = (subject.frame_count - 1) * subject.interval
+    if seconds < MIN_TAKE_SECONDS or has_static_root:
         return
     ranges = np.zeros(len(subject.take.rig.joints))
     angles = so3.angle_between(channel.values, channel.values[:1])

@@ -44,45 +44,45 @@ from animtool.validation.motion.subject import MotionSubject
 # zero [size].
 MAX_STRETCH, MIN_BONE_LENGTH = 0.5, 0.02
 # Tolerance of a unit factor [1].
-FACTOR_TOLERANCE = 0.15
+UNIT_FACTOR_TOLERANCE = 0.15
 # Fraction of animated bones that must share one factor [1].
-MIN_BONE_FRACTION = 0.8
+MIN_SCALED_FRACTION = 0.8
 # How a file states its up axis.
-UP_REMEDIES = {"USD": 'set upAxis = "{}"', "clip": "write up: {} in the rig"}
+UP_AXIS_HINTS = {"USD": 'set upAxis = "{}"', "clip": "write up: {} in the rig"}
 # A rig with a larger fraction of finger joints is a hand, not a body [1].
-DIGIT_NAMES = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
-HAND_FRACTION = 0.8
+FINGER_NAMES = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
+MAX_FINGER_FRACTION = 0.8
 # Plausible extent of any skeleton, with or without feet, from an insect to a ship [m].
-SKELETON_SIZE = (0.004, 400.0)
+SKELETON_SIZE_RANGE = (0.004, 400.0)
 # With fewer frames, a take is a pose, which may lie.
-MIN_FRAMES = 8
+MIN_STANCE_FRAMES = 8
 
 
 def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
-    """Yield bones whose length changes by more than 50 % (MOT212)."""
+    """Yield a fault if a bone's length changes by more than 50 % (MOT212)."""
     subject = subject.without_first_pose
     if not subject.has_rest or _bone_factor(subject) is not None:
         return
     is_positioned = positioned_joints(subject)
-    stretched: list[tuple[float, int, int, float, float]] = []
+    stretches: list[tuple[float, int, int, float, float]] = []
     channel = subject.take.motion.translations
-    for column, joint_index in enumerate(channel.animated.tolist()):
+    for channel_index, joint_index in enumerate(channel.animated.tolist()):
         joint = subject.take.rig.joints[joint_index]
         rest_length = math.hypot(*joint.translation)
         if joint.type is JointType.PRISMATIC or is_positioned[joint_index]:
             continue
         if rest_length <= MIN_BONE_LENGTH * subject.rest_size:
             continue
-        lengths = np.linalg.norm(channel.values[:, column], axis=1)
+        lengths = np.linalg.norm(channel.values[:, channel_index], axis=1)
         strains = np.abs(lengths / rest_length - 1.0)
         frame = int(strains.argmax())
         if strains[frame] > MAX_STRETCH:
             strain, length = float(strains[frame]), float(lengths[frame])
-            stretched.append((strain, joint_index, frame, length, rest_length))
-    if not stretched:
+            stretches.append((strain, joint_index, frame, length, rest_length))
+    if not stretches:
         return
-    _, joint_index, frame, length, rest_length = max(stretched, key=itemgetter(0))
-    other_count = len(stretched) - 1
+    _, joint_index, frame, length, rest_length = max(stretches, key=itemgetter(0))
+    other_count = len(stretches) - 1
     repeat_text = f"; {other_count} more bones change too" if other_count else ""
     message = (
         f"the bone to {subject.take.rig.joints[joint_index].name!r} is {length:.3g} m "
@@ -96,13 +96,13 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
 def _bone_factor(subject: MotionSubject) -> float | None:
     """Return the ratio of animated to rest bone lengths if it is a unit conversion."""
     rig, translations = subject.take.rig, subject.take.motion.translations
-    bones = np.flatnonzero(~positioned_joints(subject))
-    rest_lengths = np.linalg.norm(rig.rest_translations[bones], axis=1)
+    bone_ids = np.flatnonzero(~positioned_joints(subject))
+    rest_lengths = np.linalg.norm(rig.rest_translations[bone_ids], axis=1)
     is_measured = rest_lengths > MIN_BONE_LENGTH * subject.rest_size
-    bones, rest_lengths = bones[is_measured], rest_lengths[is_measured]
-    if not len(bones):
+    bone_ids, rest_lengths = bone_ids[is_measured], rest_lengths[is_measured]
+    if not len(bone_ids):
         return None
-    lengths = np.linalg.norm(translations.gather(bones), axis=2)
+    lengths = np.linalg.norm(translations.gather(bone_ids), axis=2)
     ratios = np.median(lengths, axis=0) / rest_lengths
     return _unit_factor(ratios)
 
@@ -112,8 +112,8 @@ def _unit_factor(ratios: FloatArray) -> float | None:
     if not len(ratios):
         return None
     for factor in (*UNIT_FACTORS, *(1.0 / factor for factor in UNIT_FACTORS)):
-        is_near = np.abs(ratios / factor - 1.0) < FACTOR_TOLERANCE
-        if float(is_near.mean()) >= MIN_BONE_FRACTION:
+        is_near = np.abs(ratios / factor - 1.0) < UNIT_FACTOR_TOLERANCE
+        if float(is_near.mean()) >= MIN_SCALED_FRACTION:
             return factor
     return None
 
@@ -125,36 +125,36 @@ def mismatched_units(subject: MotionSubject) -> Iterator[Fault]:
     is_reported = any(notice.code == "MOT213" for notice in subject.take.notices)
     if is_reported:
         return
-    factor = _bone_factor(subject) if subject.has_rest else None
-    if factor is not None:
+    unit_factor = _bone_factor(subject) if subject.has_rest else None
+    if unit_factor is not None:
         message = (
-            f"the bones are {factor_text(factor)} as long as those of the rig at "
+            f"the bones are {factor_text(unit_factor)} as long as those of the rig at "
             "rest: the animation uses another unit"
         )
         hint = "convert the animation, or set metersPerUnit of its layer"
         yield subject.fault("MOT213", None, 0, message, hint)
         return
-    root_factor = _root_factor(subject)
-    if root_factor is not None:
-        root, factor = root_factor
+    root_and_factor = _root_factor(subject)
+    if root_and_factor is not None:
+        root, unit_factor = root_and_factor
         message = (
             f"the root {subject.take.rig.joints[root].name!r} is "
-            f"{factor_text(factor)} as high as at rest: its translation uses another "
-            "unit"
+            f"{factor_text(unit_factor)} as high as at rest: its translation uses "
+            "another unit"
         )
         hint = "convert the root's translations to the unit of the rig"
         yield subject.fault("MOT213", root, 0, message, hint)
         return
     size, unit = subject.size, subject.take.rig.meters_per_unit
-    fitting = fitting_unit(subject.take.rig.names, size, unit)
-    if fitting is None or not subject.has_units:
+    likely_unit = fitting_unit(subject.take.rig.names, size, unit)
+    if likely_unit is None or not subject.has_units:
         return
-    message, hint = size_warning_texts(size, unit, fitting, subject.file_format)
+    message, hint = size_warning_texts(size, unit, likely_unit, subject.file_format)
     yield subject.fault("MOT213", None, None, message, hint)
 
 
 def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
-    """Return a root whose height does not fit its rest height, and the unit factor.
+    """Return a root that is too high or low for another unit, and the unit factor.
 
     If the rig rests at its hips, their height is the length of its legs.
     """
@@ -162,34 +162,31 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
         return None
     rig = subject.take.rig
     moving_roots = set(subject.translating_joints.tolist())
-    heights = subject.rest @ subject.up
+    heights = subject.rest_positions @ subject.up_vector
     leg_length = float(heights[hips_of(subject)] - heights[find_feet(rig.names)].min())
     min_height = 0.1 * subject.rest_size
     for root in sorted({*rig.roots, hips_of(subject)} & moving_roots):
         rest_height = float(heights[root])
-        rests_at_hips = rest_height < min_height
+        is_resting_at_hips = rest_height < min_height
         if max(rest_height, leg_length) < min_height:
             continue
         height = float(np.median(subject.heights[:, root]))
-        ratio = height / (leg_length if rests_at_hips else rest_height)
+        ratio = height / (leg_length if is_resting_at_hips else rest_height)
         # At 1/100 of its height, a root is at 0, like a root with another origin.
-        factor = _low_factor(subject, root) if ratio < 1.0 else height_factor(ratio)
-        if factor is None and not rests_at_hips:
+        factor = height_factor(ratio)
+        if ratio < 1.0:
+            factor = low_height_factor(
+                subject.positions[:, root],
+                subject.positions[:, body_joints(subject)],
+                subject.up_vector,
+                subject.size,
+                subject.interval,
+            )
+        if factor is None and not is_resting_at_hips:
             factor = _unit_factor(np.array([ratio]))
         if factor is not None and abs(math.log10(factor)) > 1.5:
             return int(root), factor
     return None
-
-
-def _low_factor(subject: MotionSubject, root: int) -> float | None:
-    """Return the unit factor by which a root translation is too small, else None."""
-    return low_height_factor(
-        subject.positions[:, root],
-        subject.positions[:, body_joints(subject)],
-        subject.up,
-        subject.size,
-        subject.interval,
-    )
 
 
 def _length_text(meters: float) -> str:
@@ -207,16 +204,16 @@ def _length_text(meters: float) -> str:
 
 def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the size of the skeleton is implausible (MOT215)."""
-    smallest, largest = SKELETON_SIZE
+    min_size, max_size = SKELETON_SIZE_RANGE
     if not subject.has_units:
         return
     # A watch in millimetres is meant.
-    smallest = min(smallest, subject.take.rig.meters_per_unit)
-    if len(subject.take.rig.joints) < 2 or smallest <= subject.size <= largest:
+    min_size = min(min_size, subject.take.rig.meters_per_unit)
+    if len(subject.take.rig.joints) < 2 or min_size <= subject.size <= max_size:
         return
     if is_character(subject.take.rig.names) and any(mismatched_units(subject)):
         return
-    if subject.size * 1e3 < smallest * 1e-3:
+    if subject.size * 1e3 < min_size * 1e-3:
         # All joints are at one position: a rig of controls, or a single joint.
         return
     message = f"the skeleton spans {_length_text(subject.size)}"
@@ -225,13 +222,14 @@ def implausible_size(subject: MotionSubject) -> Iterator[Fault]:
     yield subject.fault("MOT215", None, None, message, hint)
 
 
-def body_axis(subject: MotionSubject) -> Stance | None:
+def tilted_stance(subject: MotionSubject) -> Stance | None:
     """Return the stance of a body that is not upright along the up axis; else None."""
     rig = subject.take.rig
-    if subject.frames < MIN_FRAMES or len(rig.joints) < MIN_CHARACTER_JOINTS:
+    is_short = subject.frame_count < MIN_STANCE_FRAMES
+    if is_short or len(rig.joints) < MIN_CHARACTER_JOINTS:
         return None
-    digit_count = sum(map(bool, map(DIGIT_NAMES.search, rig.names)))
-    if digit_count > HAND_FRACTION * len(rig.joints):
+    finger_count = sum(map(bool, map(FINGER_NAMES.search, rig.names)))
+    if finger_count > MAX_FINGER_FRACTION * len(rig.joints):
         return None
     rest_positions = rest_world(rig).positions[0] if subject.has_rest else None
     roles = find_anatomy(rig).roles
@@ -248,8 +246,8 @@ def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:
 
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the body is upright along an axis that is not up (MOT214)."""
-    rig, axis = subject.take.rig, body_axis(subject)
-    if axis is None:
+    rig, stance = subject.take.rig, tilted_stance(subject)
+    if stance is None:
         # The bake of a file reports it, too.
         is_reported = any(notice.code == "MOT214" for notice in subject.take.notices)
         problem = root_warning(rig, subject.take.motion) if subject.has_rest else None
@@ -257,16 +255,16 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
             message, hint = problem.message, problem.hint
             yield subject.fault("MOT214", int(rig.roots[0]), 0, message, hint or "")
         return
-    direction = "upside down" if axis.axis is None else f"along {axis.axis}"
-    percent_of_frames = 100.0 * axis.fraction
+    direction = "upside down" if stance.axis is None else f"along {stance.axis}"
+    percent_of_frames = 100.0 * stance.fraction
     message = (
         f"the body is {direction} in {percent_of_frames:.0f}% of the frames; up is "
         f"{rig.up}"
     )
     hint = "rotate the root"
-    if axis.axis is not None:
-        hint = UP_REMEDIES.get(subject.file_format, "").format(axis.axis)
-        hint = hint or f"read the file with {argument('source.up', axis.axis)}"
+    if stance.axis is not None:
+        hint = UP_AXIS_HINTS.get(subject.file_format, "").format(stance.axis)
+        hint = hint or f"read the file with {argument('source.up', stance.axis)}"
     fault = subject.fault("MOT214", int(rig.roots[0]), 0, message, hint)
     # A file without an up axis is read with the default one.
     yield fault if subject.has_units else replace(fault, severity=Severity.NOTE)

@@ -20,31 +20,32 @@ from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.sides import SidePairs, pair_sides
 
 # Code, joint (empty for the take), frame (None for all), message, hint.
-FaultAt: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
+FaultFactory: TypeAlias = Callable[[str, str, float | None, str, str], Fault]
 
 # A smaller rig has no reference size [m].
-MIN_SIZE = 1e-9
+MIN_RIG_SIZE = 1e-9
 # Bones shorter than this do not define the scale [size]; number of frames that do.
-SHORT_BONE, SCALE_FRAMES = 0.02, 32
+MIN_SCALE_BONE, SCALE_FRAME_COUNT = 0.02, 32
 # Length ratio below which bones stretch, and are not scaled [1].
-SCALE_RATIO = 1.5
+MIN_SCALE_RATIO = 1.5
 # A first frame is a reference pose if this many joints leave it, each by this angle
 # [rad] and by this multiple of the following steps, of which so many are used [1].
-POSE_JOINTS, POSE_ANGLE, POSE_STEP_RATIO, POSE_STEPS = 3, math.radians(30.0), 4.0, 8
+MIN_POSE_JOINTS, MIN_POSE_ANGLE = 3, math.radians(30.0)
+POSE_STEP_RATIO, POSE_STEP_COUNT = 4.0, 8
 
 
 @dataclass(frozen=True, eq=False)
 class MotionSubject:
-    """One take of a file of any format."""
+    """A take that motion rules check; its measurements are computed when first used."""
 
     take: Take  # F frames, J joints
-    fault_at: FaultAt  # creates a fault with its location in the file
+    fault_at: FaultFactory  # creates a fault with its location in the file
     # Time code of each sample in the file ``(F,)``; None if the take's clock is exact.
-    codes: FloatArray | None = None
+    time_codes: FloatArray | None = None
     # First and last time code of the motion as stated in the file.
     frame_range: tuple[float, float] | None = None
     # Intentional cuts between frames ``(F - 1,)``.
-    intended_cuts: BoolArray | None = None
+    is_intended_cut: BoolArray | None = None
     # Whether the rig's rest pose is known; a USD layer alone has none.
     has_rest: bool = True
     # Whether the file states its unit and up axis; a BVH does not.
@@ -65,26 +66,26 @@ class MotionSubject:
     def fault(
         self, code: str, joint: int | None, frame: int | None, message: str, hint: str
     ) -> Fault:
-        """Return a fault of a joint at a frame, both by index."""
+        """Return a fault of a joint at a frame by index, located in the file."""
         name = "" if joint is None else self.take.rig.joints[joint].name
         time_code = None if frame is None else float(self.times[frame])
         fault = self.fault_at(code, name, time_code, message, hint)
         return replace(fault, frame=time_code, joint=name or None)
 
     @property
-    def frames(self) -> int:
+    def frame_count(self) -> int:
         """Number of frames."""
         return self.take.motion.frames
 
     @cached_property
     def times(self) -> FloatArray:
-        """Time code of every frame ``(F,)``."""
-        return self.take.clock.times if self.codes is None else self.codes
+        """Time code of each frame ``(F,)``, exact or as stored in the file."""
+        return self.take.clock.times if self.time_codes is None else self.time_codes
 
     @cached_property
     def interval(self) -> float:
         """Median time between two frames [s]."""
-        if self.frames < 2:
+        if self.frame_count < 2:
             return 1.0 / float(self.take.clock.rate)
         return float(np.median(np.diff(self.times))) / float(self.take.clock.fps)
 
@@ -140,15 +141,19 @@ class MotionSubject:
 
         Empty if that frame is part of the motion.
         """
-        if self.frames < POSE_STEPS or not len(self.rotating_joints) or self.cuts()[0]:
+        if (
+            self.frame_count < POSE_STEP_COUNT
+            or not len(self.rotating_joints)
+            or self.cut_mask()[0]
+        ):
             return np.zeros(0, np.int64)
         first_angles, *later_angles = np.linalg.norm(
-            self.rotation_steps[:POSE_STEPS], axis=2
+            self.rotation_steps[:POSE_STEP_COUNT], axis=2
         )
-        leaves_pose = first_angles > POSE_ANGLE
-        leaves_pose &= first_angles > POSE_STEP_RATIO * np.max(later_angles, axis=0)
-        joints = np.asarray(self.rotating_joints[leaves_pose])
-        return joints if len(joints) >= POSE_JOINTS else joints[:0]
+        is_leaving_pose = first_angles > MIN_POSE_ANGLE
+        is_leaving_pose &= first_angles > POSE_STEP_RATIO * np.max(later_angles, axis=0)
+        joints = np.asarray(self.rotating_joints[is_leaving_pose])
+        return joints if len(joints) >= MIN_POSE_JOINTS else joints[:0]
 
     @cached_property
     def without_first_pose(self) -> MotionSubject:
@@ -159,14 +164,14 @@ class MotionSubject:
         clock = replace(clock, start=clock.start + clock.step, count=clock.count - 1)
         motion = self.take.motion.select(slice(1, None))
         take = replace(self.take, clock=clock, motion=motion, curve=None)
-        codes, cuts = self.codes, self.intended_cuts
-        codes = None if codes is None else codes[1:]
-        cuts = None if cuts is None else cuts[1:]
-        return replace(self, take=take, codes=codes, intended_cuts=cuts)
+        time_codes, is_cut = self.time_codes, self.is_intended_cut
+        time_codes = None if time_codes is None else time_codes[1:]
+        is_cut = None if is_cut is None else is_cut[1:]
+        return replace(self, take=take, time_codes=time_codes, is_intended_cut=is_cut)
 
     @cached_property
     def world(self) -> WorldTransforms:
-        """World transforms of the joints."""
+        """World transforms of all joints over the frames."""
         return self.take.world()
 
     @property
@@ -175,82 +180,88 @@ class MotionSubject:
         return self.world.positions
 
     @cached_property
-    def rest(self) -> FloatArray:
+    def rest_positions(self) -> FloatArray:
         """Joint positions at rest, world ``(J, 3)`` [m]."""
         return np.asarray(rest_world(self.take.rig).positions[0])
 
     @cached_property
     def sides(self) -> SidePairs:
-        """Pairs of left and right joints, by name."""
+        """Pairs of left and right joints, matched by their names."""
         return pair_sides(self.take.rig.names, self.take.rig.parents)
 
     @cached_property
     def rest_size(self) -> float:
         """Diagonal of the joints' bounds at rest [m]."""
-        if not len(self.rest):
-            return MIN_SIZE
-        extent = self.rest.max(axis=0) - self.rest.min(axis=0)
-        return max(float(np.linalg.norm(extent)), MIN_SIZE)
+        if not len(self.rest_positions):
+            return MIN_RIG_SIZE
+        extent = self.rest_positions.max(axis=0) - self.rest_positions.min(axis=0)
+        return max(float(np.linalg.norm(extent)), MIN_RIG_SIZE)
 
     @cached_property
     def size(self) -> float:
         """Diagonal of the joints' bounds at rest, at the animated scale [m]."""
-        return max(self.rest_size * self._scale, MIN_SIZE)
+        return max(self.rest_size * self._scale, MIN_RIG_SIZE)
 
     @cached_property
     def _scale(self) -> float:
         """Median ratio of animated to rest bone lengths, world."""
         parents = self.take.rig.parents
-        bones = np.flatnonzero(parents >= 0)
-        if not self.has_rest or not len(bones) or not self.frames:
+        bone_ids = np.flatnonzero(parents >= 0)
+        if not self.has_rest or not len(bone_ids) or not self.frame_count:
             return 1.0
-        rest_bones = self.rest[bones] - self.rest[parents[bones]]
-        rest_lengths = np.linalg.norm(rest_bones, axis=1)
-        is_measured = rest_lengths > SHORT_BONE * self.rest_size
-        bones, rest_lengths = bones[is_measured], rest_lengths[is_measured]
-        if not len(bones):
+        rest_vectors = (
+            self.rest_positions[bone_ids] - self.rest_positions[parents[bone_ids]]
+        )
+        rest_lengths = np.linalg.norm(rest_vectors, axis=1)
+        is_measured = rest_lengths > MIN_SCALE_BONE * self.rest_size
+        bone_ids, rest_lengths = bone_ids[is_measured], rest_lengths[is_measured]
+        if not len(bone_ids):
             return 1.0
-        frames = np.unique(np.linspace(0, self.frames - 1, SCALE_FRAMES).astype(int))
-        positions = self.positions[frames]
-        animated_bones = positions[:, bones] - positions[:, parents[bones]]
-        lengths = np.linalg.norm(animated_bones, axis=2)
+        frame_indices = np.unique(
+            np.linspace(0, self.frame_count - 1, SCALE_FRAME_COUNT).astype(int)
+        )
+        positions = self.positions[frame_indices]
+        animated_vectors = positions[:, bone_ids] - positions[:, parents[bone_ids]]
+        lengths = np.linalg.norm(animated_vectors, axis=2)
         scale = float(np.median(lengths / rest_lengths))
-        return scale if max(scale, 1.0 / max(scale, 1e-12)) > SCALE_RATIO else 1.0
+        return scale if max(scale, 1.0 / max(scale, 1e-12)) > MIN_SCALE_RATIO else 1.0
 
     @cached_property
-    def up(self) -> FloatArray:
+    def up_vector(self) -> FloatArray:
         """Unit up vector ``(3,)``."""
         return np.array(self.take.rig.up.vector)
 
     @cached_property
     def heights(self) -> FloatArray:
         """Heights of the joints above the origin ``(F, J)`` [m]."""
-        return np.asarray(self.positions @ self.up)
+        return np.asarray(self.positions @ self.up_vector)
 
     def ground_positions(self, joints: IntArray) -> FloatArray:
         """Return horizontal joint positions ``(F, len(joints), 3)`` [m]."""
         points = self.positions[:, joints]
-        return np.asarray(points - (points @ self.up)[..., None] * self.up)
+        return np.asarray(
+            points - (points @ self.up_vector)[..., None] * self.up_vector
+        )
 
-    def cuts(self) -> BoolArray:
+    def cut_mask(self) -> BoolArray:
         """Return a mask of the steps that are intended cuts ``(F - 1,)``."""
-        steps = max(self.frames - 1, 0)
-        if self.intended_cuts is None:
-            return np.zeros(steps, bool)
-        return self.intended_cuts.copy()
+        step_count = max(self.frame_count - 1, 0)
+        if self.is_intended_cut is None:
+            return np.zeros(step_count, bool)
+        return self.is_intended_cut.copy()
 
     def time_text(self, frame: int) -> str:
         """Return the time code of a frame for a message."""
         return f"{self.times[frame]:.10g}"
 
 
-def faults_at(path: Path, where: str) -> FaultAt:
-    """Return a function that locates every fault of a take at one place in a file."""
+def fault_factory_at(path: Path, where: str | None = None) -> FaultFactory:
+    """Return a factory of faults in a file, at one location or at their joints."""
 
     def fault_at(
         code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
-        del joint, frame
-        return Fault(code, message, str(path), (), hint, where=where)
+        del frame
+        return Fault(code, message, str(path), (), hint, where=where or joint or None)
 
     return fault_at

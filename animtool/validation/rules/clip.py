@@ -19,16 +19,16 @@ from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.clip import ClipSubject
 
 # Closer to 180 degrees, rounding decides the direction of rotation.
-NEAR_HALF_ROTATION = math.radians(178.0)
+MIN_HALF_ROTATION = math.radians(178.0)
 
 
 def half_rotations(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield keys 180° from the previous key, an ambiguous rotation (CLIP202)."""
+    """Report keys 180° from the previous key, an ambiguous rotation (CLIP202)."""
     for channel_index, channel in enumerate(subject.clip.channels):
         if channel.values.shape[1] != 4:
             continue
         angles = so3.angle_between(channel.values[:-1], channel.values[1:])
-        for key in np.flatnonzero(angles > NEAR_HALF_ROTATION).tolist():
+        for key in np.flatnonzero(angles > MIN_HALF_ROTATION).tolist():
             if channel.interps[key] is Interp.STEP:
                 continue
             message = (
@@ -56,19 +56,19 @@ MAX_SAMPLE_SPACING = 2.0
 # Angles that change by more between keys, although the rotations are closer than the
 # second value, take a detour of 360 degrees, or of 180 degrees in two of three angles
 # [rad].
-MIN_FAR_ANGLE, NEAR_ROTATION = math.radians(150.0), math.radians(90.0)
+MIN_FAR_ANGLE, MAX_NEAR_ROTATION = math.radians(150.0), math.radians(90.0)
 # Keys farther apart in time wrap if angles change by more than the first value and the
 # short path is below 60 degrees [rad]; two angles flip by 180 degrees if the third is
 # as close.
-WRAP_ANGLE, WRAP_SHORT_PATH = math.radians(300.0), math.radians(60.0)
+MIN_WRAP_ANGLE, MAX_WRAP_SHORT_PATH = math.radians(300.0), math.radians(60.0)
 # Motion that continues before or after at this fraction of the speed is a spin [1].
-SPIN_RATIO = 0.5
-DEGREE = "\N{DEGREE SIGN}"
+MIN_SPIN_RATIO = 0.5
+DEGREE_SIGN = "\N{DEGREE SIGN}"
 
 
 def overshooting_keys(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield curves that exceed limits between two keys within the limits (CLIP205)."""
-    times = np.array(subject.frames)
+    """Report curves that exceed limits between two keys within the limits (CLIP205)."""
+    times = np.array(subject.time_codes)
     for channel_index, channel in enumerate(subject.clip.channels):
         excess = _excess_function(channel, subject.rig)
         if excess is None or len(channel.times) < 2:
@@ -90,11 +90,11 @@ def overshooting_keys(subject: ClipSubject) -> Iterator[Fault]:
 def _excess_text(
     channel: ClipChannel, key: int, frames: FloatArray, excess: FloatArray
 ) -> str:
-    """Return text on the frames in which a curve segment exceeds its limits."""
+    """Return a message about a segment that exceeds limits, by how much and where."""
     largest = float(excess.max())
     amount_text = f"{largest:.3g}"
     if channel.target.endswith((".angle", ".rotation")):
-        amount_text = f"{math.degrees(largest):.3g}{DEGREE}"
+        amount_text = f"{math.degrees(largest):.3g}{DEGREE_SIGN}"
     key_frames = f"{channel.times[key]:g} and {channel.times[key + 1]:g}"
     frames_text = f"frame {frames[0]:g}"
     if len(frames) > 1:
@@ -106,7 +106,7 @@ def _excess_text(
 
 
 def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
-    """Return a function that computes by how much a channel exceeds its limits."""
+    """Return a function from a channel's values to their excess; None if unlimited."""
     kind, _, name = channel.target.partition("/")
     if kind == "control":
         control = next(control for control in rig.controls if control.name == name)
@@ -127,7 +127,7 @@ def _excess_function(channel: ClipChannel, rig: Rig) -> ExcessFunction | None:
 
 
 def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
-    """Yield angles that rotate a full circle from one key to the next (CLIP206)."""
+    """Report angles that rotate a full circle from one key to the next (CLIP206)."""
     for channel_index, channel in enumerate(subject.clip.channels):
         if not channel.euler and not channel.target.endswith(".angle"):
             continue
@@ -146,19 +146,19 @@ def angle_flips(subject: ClipSubject) -> Iterator[Fault]:
 
 
 def _full_circle_text(channel: ClipChannel, key: int) -> str:
-    """Return text on an angle that rotates a full circle after a key."""
+    """Return a message about the angle that changes most between two keys."""
     first_angles = np.degrees(channel.values[key])
     second_angles = np.degrees(channel.values[key + 1])
     axis = int(np.argmax(np.abs(second_angles - first_angles)))
-    frames = float(channel.times[key + 1] - channel.times[key])
-    angle = abs(float(second_angles[axis] - first_angles[axis]))
+    frame_count = float(channel.times[key + 1] - channel.times[key])
+    angle_change = abs(float(second_angles[axis] - first_angles[axis]))
     name = f" {channel.euler[axis].lower()}" if channel.euler else ""
     return (
-        f"{channel.target!r}{name} rotates by {angle:.4g}{DEGREE}, from "
-        f"{first_angles[axis]:.5g}{DEGREE} at frame {channel.times[key]:g} to "
-        f"{second_angles[axis]:.5g}{DEGREE} at frame {channel.times[key + 1]:g}, "
-        f"{angle / frames:.3g}{DEGREE} per frame; the shortest path is "
-        f"{math.degrees(_shortest_rotation(channel, key)):.3g}{DEGREE}"
+        f"{channel.target!r}{name} rotates by {angle_change:.4g}{DEGREE_SIGN}, from "
+        f"{first_angles[axis]:.5g}{DEGREE_SIGN} at frame {channel.times[key]:g} to "
+        f"{second_angles[axis]:.5g}{DEGREE_SIGN} at frame {channel.times[key + 1]:g}, "
+        f"{angle_change / frame_count:.3g}{DEGREE_SIGN} per frame; the shortest path "
+        f"is {math.degrees(_shortest_rotation(channel, key)):.3g}{DEGREE_SIGN}"
     )
 
 
@@ -187,18 +187,18 @@ def _value_distance(first: FloatArray, second: FloatArray) -> float:
 
 
 def _unwrapped(reference: FloatArray, angles: FloatArray) -> FloatArray:
-    """Return angles within half a revolution of reference angles [rad]."""
+    """Add full revolutions to angles so that they are nearest to a reference [rad]."""
     offsets = np.remainder(angles - reference + math.pi, math.tau)
     return np.asarray(reference + offsets - math.pi)
 
 
 def _flip_keys(channel: ClipChannel) -> IntArray:
-    """Return the keys of a densely sampled curve after which angles wrap."""
+    """Return indices of densely sampled keys after which angles take a detour."""
     is_sampled = np.diff(channel.times) <= MAX_SAMPLE_SPACING
     is_far = (np.abs(np.diff(channel.values, axis=0)) > MIN_FAR_ANGLE).any(axis=1)
-    candidates = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
-    angles = [_shortest_rotation(channel, key) for key in candidates.tolist()]
-    return candidates[np.array(angles) < NEAR_ROTATION]
+    candidate_keys = np.flatnonzero(is_sampled & is_far & _interpolated_keys(channel))
+    angles = [_shortest_rotation(channel, key) for key in candidate_keys.tolist()]
+    return candidate_keys[np.array(angles) < MAX_NEAR_ROTATION]
 
 
 def _interpolated_keys(channel: ClipChannel) -> BoolArray:
@@ -210,7 +210,7 @@ def _interpolated_keys(channel: ClipChannel) -> BoolArray:
 
 
 def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
-    """Return the keys after which an angle wraps, at any key spacing.
+    """Return indices of the keys after which an angle wraps, at any key spacing.
 
     Intended rotations continue over full circles, or end on one; a spin keeps its speed
     before or after. Wrapped angles are reduced to ±180 or 0 to 360 degrees, and reverse
@@ -220,7 +220,7 @@ def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
     is_interpolated = _interpolated_keys(channel)
     short_steps = np.remainder(steps + math.pi, math.tau) - math.pi
     is_wrap = (
-        (np.abs(steps) > WRAP_ANGLE)
+        (np.abs(steps) > MIN_WRAP_ANGLE)
         & (np.abs(short_steps) > CYCLE_TOLERANCE)
         & is_interpolated[:, None]
     )
@@ -254,19 +254,21 @@ def _wraps_after(
     if limits is not None and not limits.low <= first_value + short_path <= limits.high:
         return False
     rates = np.diff(values) / np.diff(channel.times)
-    near_rates = [float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)]
-    if any(rate / rates[key] >= SPIN_RATIO for rate in near_rates):
+    rates_around = [float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)]
+    if any(rate / rates[key] >= MIN_SPIN_RATIO for rate in rates_around):
         return False
     largest = max(abs(first_value), abs(second_value))
     if first_value * second_value < 0 and largest <= math.pi + CYCLE_TOLERANCE:
         return True
     # Within another revolution, only reversed motion before and after is a sign of
     # wrapping.
-    return len(near_rates) == 2 and all(rate * short_path > 0 for rate in near_rates)
+    return len(rates_around) == 2 and all(
+        rate * short_path > 0 for rate in rates_around
+    )
 
 
 def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
-    """Return the angle limits of a pin joint; None without limits."""
+    """Return the limits of the hinge angle that a channel animates, or None."""
     joint, _, coordinate = channel.target.removeprefix("joint/").rpartition(".")
     if coordinate != "angle":
         return None
@@ -277,19 +279,19 @@ def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
 def _nearer_angles(
     channel: ClipChannel, first: FloatArray, second: FloatArray
 ) -> FloatArray | None:
-    """Return the equivalent Euler angles of a rotation if much nearer to a reference.
+    """Return the other Euler angles of a rotation if they are near ``first`` [rad].
 
     Two of three differ by half a revolution, and the middle one is mirrored; None for
     other differences.
     """
     if len(second) != 3 or len(set(channel.euler)) < 3:
         return None
-    steps = np.abs(second - first)
-    if steps[[0, 2]].min() <= MIN_FAR_ANGLE:
+    angle_steps = np.abs(second - first)
+    if angle_steps[[0, 2]].min() <= MIN_FAR_ANGLE:
         return None
     equivalent = [second[0] + math.pi, math.pi - second[1], second[2] + math.pi]
     angles = _unwrapped(first, np.array(equivalent))
-    return angles if _value_distance(first, angles) < WRAP_SHORT_PATH else None
+    return angles if _value_distance(first, angles) < MAX_WRAP_SHORT_PATH else None
 
 
 def _shortest_rotation(channel: ClipChannel, key: int) -> float:

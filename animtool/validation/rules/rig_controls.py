@@ -1,4 +1,4 @@
-"""Rules on controls: the effect of each control over its range."""
+"""Rules on controls and drivers: their effects over the ranges of their inputs."""
 
 from __future__ import annotations
 
@@ -14,34 +14,33 @@ from animtool.documents.document import Location
 from animtool.maths import so3
 from animtool.rig.controls import Control, ControlEffects, evaluate_controls
 from animtool.rig.driver_plan import plan_of
+from animtool.rig.drivers import SLIDE, SWING, TWIST, Driver, split_coordinate
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.parts import Shape
 from animtool.rig.shapes import combination_order
-from animtool.rig.skeleton import Joint
-from animtool.validation.rules.rig_joints import value_text
+from animtool.rig.skeleton import Joint, Rig
+from animtool.validation.rules.rig_joints import LIMIT_TOLERANCE, range_text, value_text
 from animtool.validation.subjects.rig import RigSubject
 
 # Sampled values of each control, in addition to the points of its curves.
 SWEEP_SAMPLES = 17
 # Number of sampled poses of all controls, some of which must activate a corrective.
-MAX_POSES = 2048
+POSE_SAMPLES = 2048
 # Probability that a control is at an end of its range in a sampled pose.
-END_PROBABILITY = 0.8
-# Tolerance for degrees rounded in a file [rad], [m]; of a range [1].
-LIMIT_TOLERANCE = 1e-6
+RANGE_END_PROBABILITY = 0.8
 _ZERO: FloatArray = np.zeros(1)
 
 
 @dataclass(frozen=True, slots=True)
 class _ControlSweep:
-    """Sweep of every control over its range, one control after the other."""
+    """Samples of a rig in which one control after another covers its range."""
 
     moving_controls: list[Control]  # the moving control of each frame ``(F,)``
     control_values: dict[str, FloatArray]  # values of all controls ``(F,)``
-    driven: ControlEffects  # resulting values
+    driven_values: ControlEffects  # resulting values
 
     def broadcast(self, values: FloatArray) -> FloatArray:
-        """Broadcast values to all frames ``(F,)``."""
+        """Repeat values ``(1,)`` for all frames of the sweep; ``(F,)`` stay as is."""
         return np.broadcast_to(values, len(self.moving_controls))
 
     def frame_text(self, frame: int) -> str:
@@ -50,7 +49,7 @@ class _ControlSweep:
         return f"{name!r} at {float(self.control_values[name][frame]):g}"
 
     def worst_frames(self, excess: FloatArray) -> Iterator[tuple[Control, int]]:
-        """Yield each control whose frames exceed a limit, and its worst frame."""
+        """Yield each control that exceeds a limit, and the frame with most excess."""
         # Values that are not finite are a fault of the expression (RIG207).
         absolute_excess = self.broadcast(
             np.where(np.isfinite(excess), np.abs(excess), 0.0)
@@ -66,10 +65,10 @@ class _ControlSweep:
 
 
 def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield controls that drive a joint beyond its limits (RIG204)."""
+    """Report controls that drive a joint beyond its limits (RIG204)."""
     sweep = _sweep_controls(rig)
     for joint in rig.rig.joints:
-        excess = _limit_excess(joint, sweep.driven.targets)
+        excess = _limit_excess(joint, sweep.driven_values.targets)
         for control, frame in sweep.worst_frames(excess):
             largest_excess = abs(float(sweep.broadcast(excess)[frame]))
             excess_text = value_text(rig, joint, largest_excess)
@@ -83,14 +82,14 @@ def controls_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
-    """Yield controls that drive another control beyond its range (RIG206)."""
+    """Report controls that drive another control beyond its range (RIG206)."""
     sweep = _sweep_controls(rig)
     for control in rig.rig.controls:
         if control.low is None or control.high is None:
             continue
-        values = sweep.driven.unclamped_controls[control.name]
-        width = max(control.high - control.low, LIMIT_TOLERANCE)
-        excess = (values - np.clip(values, control.low, control.high)) / width
+        values = sweep.driven_values.unclamped_controls[control.name]
+        range_width = max(control.high - control.low, LIMIT_TOLERANCE)
+        excess = (values - np.clip(values, control.low, control.high)) / range_width
         for driving_control, frame in sweep.worst_frames(excess):
             message = (
                 f"{sweep.frame_text(frame)} drives {control.name!r} to "
@@ -103,25 +102,25 @@ def controls_beyond_range(rig: RigSubject) -> Iterator[Fault]:
 
 
 def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
-    """Yield drives that are undefined at a value in their control's range (RIG207)."""
+    """Report drives that are undefined at a value in their control's range (RIG207)."""
     sweep = _sweep_controls(rig)
-    values = sweep.driven.controls
+    values = sweep.driven_values.controls
     for control in rig.rig.controls:
         for drive_index, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
-                contribution = drive.evaluate(control.name, values)
+                drive_values = drive.evaluate(control.name, values)
             inputs: Sequence[str] = (control.name,)
             if drive.expression is not None:
                 inputs = drive.expression.names
             # If another drive's value is undefined, that drive is at fault.
-            is_undefined = ~np.isfinite(contribution)
+            is_undefined = ~np.isfinite(drive_values)
             for input_name in inputs:
                 is_undefined = is_undefined & np.isfinite(values[input_name])
             if not is_undefined.any():
                 continue
-            moves_input = [moving.name in inputs for moving in sweep.moving_controls]
-            if (is_undefined & moves_input).any():
-                is_undefined = is_undefined & moves_input
+            is_input_moving = [c.name in inputs for c in sweep.moving_controls]
+            if (is_undefined & is_input_moving).any():
+                is_undefined = is_undefined & is_input_moving
             frame = int(sweep.broadcast(is_undefined).argmax())
             name = sweep.moving_controls[frame].name
             value = float(sweep.control_values[name][frame])
@@ -133,7 +132,7 @@ def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
 
 
 def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
-    """Yield correctives that no control pose activates (RIG208)."""
+    """Report correctives that no control pose activates (RIG208)."""
     # Shapes driven by joint coordinates move without controls.
     joint_driven_shapes = set(plan_of(rig.rig).shapes) if rig.rig.is_driven else set()
     correctives = [
@@ -151,12 +150,11 @@ def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
         return
     weights = _shape_weights(rig, driven_shapes)
     for shape in correctives:
-        undriven = [name for name in shape.combine if name not in weights]
+        undriven_names = [name for name in shape.combine if name not in weights]
         location = (*rig.at("shapes", shape.name), "combine")
-        if undriven:
-            message = (
-                f"no control drives {undriven[0]!r}, which {shape.name!r} combines"
-            )
+        if undriven_names:
+            message = f"no control drives {undriven_names[0]!r}, "
+            message += f"which {shape.name!r} combines"
             hint = "drive it, or remove the shape"
             yield rig.fault("RIG208", location, message, hint)
         elif not _combined_weight(shape, weights).any():
@@ -166,7 +164,7 @@ def inactive_correctives(rig: RigSubject) -> Iterator[Fault]:
 
 
 def idle_controls(rig: RigSubject) -> Iterator[Fault]:
-    """Yield controls that drive nothing and that no expression reads (RIG220)."""
+    """Report controls that drive nothing and that no expression reads (RIG220)."""
     read_names = {
         name
         for control in rig.rig.controls
@@ -195,13 +193,13 @@ def idle_controls(rig: RigSubject) -> Iterator[Fault]:
 def _sweep_controls(rig: RigSubject) -> _ControlSweep:
     """Return a sweep of each control with all other controls at their defaults."""
     controls = rig.rig.controls
-    ranges = {control.name: _sampled_values(control) for control in controls}
-    count = sum(map(len, ranges.values()))
+    sweeps = {control.name: _sampled_values(control) for control in controls}
+    frame_count = sum(map(len, sweeps.values()))
     keyed_values: dict[str, FloatArray] = {}
     moving_controls: list[Control] = []
     for control in controls:
-        values = np.full(count, control.default)
-        samples = ranges[control.name]
+        values = np.full(frame_count, control.default)
+        samples = sweeps[control.name]
         values[len(moving_controls) : len(moving_controls) + len(samples)] = samples
         moving_controls += [control] * len(samples)
         keyed_values[control.name] = values
@@ -211,12 +209,12 @@ def _sweep_controls(rig: RigSubject) -> _ControlSweep:
 
 
 def _sampled_values(control: Control) -> FloatArray:
-    """Return the values of a control to test; none if its range is open."""
+    """Return test values over a control's range, ascending; none if it is open."""
     if control.low is None or control.high is None:
         return np.zeros(0)
-    corners = [corner for drive in control.drives for corner, _ in drive.curve]
+    curve_inputs = [x for drive in control.drives for x, _ in drive.curve]
     samples = np.linspace(control.low, control.high, SWEEP_SAMPLES)
-    values = np.concatenate([samples, np.array(corners, np.float64)])
+    values = np.concatenate([samples, np.array(curve_inputs, np.float64)])
     # `numpy.unique` would import numpy.ma.
     return np.array(sorted(set(np.clip(values, control.low, control.high).tolist())))
 
@@ -229,11 +227,11 @@ def _limit_excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
         return _ZERO if value is None else joint.limits.excess(value)
     if isinstance(joint.limits, BallLimit):
         names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
-        contributions = [targets.get(name, _ZERO) for name in names]
+        axis_angles = [targets.get(name, _ZERO) for name in names]
         is_driven = any(name in targets for name in names)
-        if not is_driven or _is_within_limits(joint.limits, contributions):
+        if not is_driven or _is_within_limits(joint.limits, axis_angles):
             return _ZERO
-        rotation = so3.exp(np.stack(np.broadcast_arrays(*contributions), axis=-1))
+        rotation = so3.exp(np.stack(np.broadcast_arrays(*axis_angles), axis=-1))
         is_finite = np.isfinite(rotation).all(axis=-1, keepdims=True)
         return joint.limits.excess(np.where(is_finite, rotation, so3.IDENTITY))
     return _ZERO
@@ -252,7 +250,7 @@ def _is_within_limits(limits: BallLimit, axis_values: list[FloatArray]) -> bool:
 
 
 def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location:
-    """Return the location of the drive that affects a target, else of the control."""
+    """Return the location of a control's drive with a target, else of the control."""
     location = rig.at("controls", control.name)
     for drive_index, drive in enumerate(control.drives):
         if f"{drive.target}.".startswith(target):
@@ -267,9 +265,9 @@ def _shape_weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatAr
     for control in rig.rig.controls:
         low = -1.0 if control.low is None else control.low
         high = 1.0 if control.high is None else control.high
-        end_values = np.where(rng.random(MAX_POSES) < 0.5, low, high)
-        inner_values = rng.uniform(low, high, MAX_POSES)
-        is_end = rng.random(MAX_POSES) < END_PROBABILITY
+        end_values = np.where(rng.random(POSE_SAMPLES) < 0.5, low, high)
+        inner_values = rng.uniform(low, high, POSE_SAMPLES)
+        is_end = rng.random(POSE_SAMPLES) < RANGE_END_PROBABILITY
         keyed_values[control.name] = np.where(is_end, end_values, inner_values)
     with np.errstate(all="ignore"):
         targets = evaluate_controls(rig.rig.controls, keyed_values).targets
@@ -286,3 +284,100 @@ def _combined_weight(shape: Shape, weights: dict[str, FloatArray]) -> FloatArray
     for name in shape.combine:
         product = product * weights[name]
     return product
+
+
+# Number of sampled values of each coordinate, with the others at rest, and of samples
+# of all at once.
+INPUT_SAMPLES, RANDOM_SAMPLES = 33, 512
+# Range of unlimited coordinates [rad], [m].
+UNLIMITED_ANGLE, UNLIMITED_LENGTH = np.pi, 1.0
+
+
+def drivers_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
+    """Report drivers that move a joint beyond its limits (RIG223)."""
+    for joint in rig.rig.joints:
+        if joint.driven is None or not isinstance(joint.limits, RangeLimit):
+            continue
+        if joint.name in rig.mirrored:
+            continue
+        values = _driver_values(joint.driven, _input_samples(rig, joint.driven))
+        excess = joint.limits.excess(np.where(np.isfinite(values), values, 0.0))
+        worst_sample = int(np.argmax(np.abs(excess)))
+        if abs(excess[worst_sample]) <= LIMIT_TOLERANCE:
+            continue
+        reached_text = value_text(rig, joint, float(values[worst_sample]))
+        limits = range_text(rig, joint, joint.limits.low, joint.limits.high)
+        message = (
+            f"the driver of {joint.name!r} reaches {reached_text} within the limits of "
+            f"its inputs; its limits are {limits}"
+        )
+        location = (*rig.at("joints", joint.name), "driven")
+        hint = "widen the limits, or reduce the driver"
+        yield rig.fault("RIG223", location, message, hint)
+
+
+def undefined_drivers(rig: RigSubject) -> Iterator[Fault]:
+    """Report drivers that are undefined at a sample of their inputs (RIG224)."""
+    for key, kind, elements in (
+        ("joints", "joint", rig.rig.joints),
+        ("shapes", "shape", rig.rig.shapes),
+        ("controls", "control", rig.rig.controls),
+    ):
+        for element in elements:
+            if element.driven is None or element.name in rig.mirrored:
+                continue
+            inputs = _input_samples(rig, element.driven)
+            is_undefined = ~np.isfinite(_driver_values(element.driven, inputs))
+            if not is_undefined.any():
+                continue
+            sample = int(is_undefined.argmax())
+            input_texts = [
+                f"{name} is {values[sample] / element.driven.unit_of(name):.4g}"
+                for name, values in inputs.items()
+            ]
+            message = f"the driver of {kind} {element.name!r} is undefined where "
+            message += " and ".join(input_texts) or "it has no inputs"
+            location = (*rig.at(key, element.name), "driven")
+            hint = "avoid division by 0; log and sqrt need more than 0"
+            yield rig.fault("RIG224", location, message, hint)
+
+
+def _driver_values(driver: Driver, inputs: dict[str, FloatArray]) -> FloatArray:
+    """Evaluate a driver at all samples of its inputs ``(N,)``."""
+    sample_count = RANDOM_SAMPLES + INPUT_SAMPLES * len(inputs)
+    return np.broadcast_to(driver.evaluate(inputs), sample_count)
+
+
+def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
+    """Sample the inputs of a driver: each alone over its range, then all at random."""
+    rng = np.random.default_rng(0)
+    names = driver.names
+    samples = {}
+    for i, name in enumerate(names):
+        lower, upper = _input_range(rig.rig, name)
+        rest_value = min(max(0.0, lower), upper)
+        values = np.full((len(names), INPUT_SAMPLES), rest_value)
+        values[i] = np.linspace(lower, upper, INPUT_SAMPLES)
+        random_values = rng.uniform(lower, upper, RANDOM_SAMPLES)
+        samples[name] = np.concatenate([values.ravel(), random_values])
+    return samples
+
+
+def _input_range(rig: Rig, name: str) -> tuple[float, float]:
+    """Return lowest and highest value of a coordinate or control [rad], [m], [1]."""
+    joint_name, coordinate = split_coordinate(name)
+    if not joint_name:
+        control = next(control for control in rig.controls if control.name == name)
+        if control.low is None or control.high is None:
+            return control.default, control.default
+        return control.low, control.high
+    limits = rig.joints[rig.index(joint_name)].limits
+    if isinstance(limits, RangeLimit):
+        return limits.low, limits.high
+    if not isinstance(limits, BallLimit):
+        range_limit = UNLIMITED_LENGTH if coordinate == SLIDE else UNLIMITED_ANGLE
+        return -range_limit, range_limit
+    if coordinate == TWIST:
+        return limits.twist or (-UNLIMITED_ANGLE, UNLIMITED_ANGLE)
+    max_swing = max(limits.swing) if limits.swing else UNLIMITED_ANGLE
+    return (0.0, max_swing) if coordinate == SWING else (-max_swing, max_swing)

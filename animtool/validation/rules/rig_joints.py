@@ -26,22 +26,22 @@ PERPENDICULAR_COSINE = 0.1
 
 
 def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints whose rest pose is outside their limits (RIG201)."""
+    """Report joints whose rest pose is outside their limits (RIG201)."""
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(lower, upper):
-                noun = "limits"
-                rest = 0.0 if joint.mimic is None else joint.mimic.offset
+                limits_noun = "limits"
+                rest_value = 0.0 if joint.mimic is None else joint.mimic.offset
             case BallLimit(twist=(lower, upper)):
-                noun, rest = "twist limits", 0.0
+                limits_noun, rest_value = "twist limits", 0.0
             case _:
                 continue
-        is_inside = lower - LIMIT_TOLERANCE <= rest <= upper + LIMIT_TOLERANCE
+        is_inside = lower - LIMIT_TOLERANCE <= rest_value <= upper + LIMIT_TOLERANCE
         if is_inside or joint.name in rig.mirrored:
             continue
         message = (
-            f"the {noun} of {joint.name!r} are {range_text(rig, joint, lower, upper)}, "
-            "which exclude its rest pose"
+            f"the {limits_noun} of {joint.name!r} are "
+            f"{range_text(rig, joint, lower, upper)}, which exclude its rest pose"
         )
         location = (*rig.at("joints", joint.name), "limits")
         hint = "limits are relative to the rest pose, which is 0"
@@ -49,7 +49,7 @@ def rest_outside_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints whose limits allow no motion (RIG202)."""
+    """Report joints whose limits allow no motion (RIG202)."""
     for joint in rig.rig.joints:
         match joint.limits:
             case RangeLimit(lower, upper):
@@ -65,7 +65,7 @@ def motionless_joints(rig: RigSubject) -> Iterator[Fault]:
 
 
 def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
-    """Yield ball joints whose twist axis is perpendicular to their bone (RIG203)."""
+    """Report ball joints whose twist axis is perpendicular to their bone (RIG203)."""
     for i, joint in enumerate(rig.rig.joints):
         limits = joint.limits
         bone = _bone_direction(rig, i)
@@ -85,7 +85,7 @@ def twist_axis_across_bone(rig: RigSubject) -> Iterator[Fault]:
 
 
 def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield mimic joints that their source drives beyond their limits (RIG205)."""
+    """Report mimic joints that their source drives beyond their limits (RIG205)."""
     for joint in rig.rig.joints:
         if joint.mimic is None or not isinstance(joint.limits, RangeLimit):
             continue
@@ -108,12 +108,12 @@ def mimics_beyond_limits(rig: RigSubject) -> Iterator[Fault]:
 
 
 def range_text(rig: RigSubject, joint: Joint, lower: float, upper: float) -> str:
-    """Return a range of a joint coordinate in the rig's unit."""
+    """Format a range of a joint's angle or slide, such as ``-60° to 60°``."""
     return f"{value_text(rig, joint, lower)} to {value_text(rig, joint, upper)}"
 
 
 def value_text(rig: RigSubject, joint: Joint, value: float) -> str:
-    """Return a joint coordinate in the rig's unit."""
+    """Format a joint's angle or slide, [rad] or [m], in the rig's unit."""
     if joint.type is JointType.PRISMATIC:
         unit = rig.rig.meters_per_unit
         return f"{value / unit:.4g} {unit_name(unit)}"
@@ -144,7 +144,7 @@ BIND_ROUNDING_ANGLE = math.radians(0.5)
 
 
 def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield bind poses that differ from the rest pose only by rounding (RIG216)."""
+    """Report bind poses that differ from the rest pose only by rounding (RIG216)."""
     for name in rig.document.value.get("bind", {}):
         if name not in rig.rig.bind or not rig.size:
             continue
@@ -163,14 +163,14 @@ def bind_nearly_rest(rig: RigSubject) -> Iterator[Fault]:
 
 
 def bind_without_rest(rig: RigSubject) -> Iterator[Fault]:
-    """Yield joints that have a bind pose but no rest pose (RIG222)."""
+    """Report joints that have a bind pose but no rest pose (RIG222)."""
     bind = rig.document.value.get("bind", {})
     if "from" in rig.document.value:
         return
-    for i, entry in enumerate(rig.file_entries("joints")):
-        pose = bind.get(entry["name"], {})
-        if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*entry}:
-            name, parent = entry["name"], entry.get("parent")
+    for i, joint in enumerate(rig.file_entries("joints")):
+        pose = bind.get(joint["name"], {})
+        if any(pose.get("translate") or ()) and not {"translate", "rotate"} & {*joint}:
+            name, parent = joint["name"], joint.get("parent")
             position = f"where {parent!r} is" if parent else "at the origin"
             message = f"{name!r} has a bind pose but no rest pose: it rests {position}"
             hint = f"translate: {pose['translate']} is its position in the bind pose"
@@ -184,7 +184,7 @@ EQUAL_LIMIT_TOLERANCE = 1e-6
 
 
 def asymmetric_positions(rig: RigSubject) -> Iterator[Fault]:
-    """Yield paired bones that are not mirror images at rest (RIG212)."""
+    """Report paired bones that are not mirror images at rest (RIG212)."""
     pairs, are_mirrored = _mirror_pairs(rig)
     if not _is_symmetric(are_mirrored):
         return
@@ -199,7 +199,7 @@ def asymmetric_positions(rig: RigSubject) -> Iterator[Fault]:
 
 
 def asymmetric_limits(rig: RigSubject) -> Iterator[Fault]:
-    """Yield paired joints with different types or limits (RIG213)."""
+    """Report paired joints with different types or limits (RIG213)."""
     pairs, are_mirrored = _mirror_pairs(rig)
     if not _is_symmetric(are_mirrored):
         return
@@ -234,29 +234,29 @@ def _are_mirror_images(rig: RigSubject, pairs: list[tuple[Joint, Joint]]) -> Boo
     """Return a mask of the pairs mirrored in the most common plane ``(P,)``."""
     positions, _ = rig.rest
     parents = rig.rig.parents
-    bones = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
-    left_bones, right_bones = (
-        bones[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
+    bone_vectors = positions - np.where(parents[:, None] < 0, 0.0, positions[parents])
+    left_vectors, right_vectors = (
+        bone_vectors[[rig.rig.index(pair[side].name) for pair in pairs]].reshape(-1, 3)
         for side in (0, 1)
     )
     tolerance = POSITION_TOLERANCE * max(rig.size, POSITION_TOLERANCE)
-    most_mirrored = np.zeros(len(pairs), bool)
-    most_across = -1
+    best_mirrored = np.zeros(len(pairs), bool)
+    largest_count = -1
     for axis in range(3):
         mirror_signs = np.ones(3)
         mirror_signs[axis] = -1.0
-        distances = np.linalg.norm(left_bones * mirror_signs - right_bones, axis=1)
+        distances = np.linalg.norm(left_vectors * mirror_signs - right_vectors, axis=1)
         is_mirrored = distances <= tolerance
         # Bones in the plane are equal, whichever plane it is.
-        is_across = is_mirrored & (np.abs(left_bones[:, axis]) > tolerance)
-        if int(np.count_nonzero(is_across)) > most_across:
-            most_across = int(np.count_nonzero(is_across))
-            most_mirrored = is_mirrored
-    return most_mirrored
+        is_across = is_mirrored & (np.abs(left_vectors[:, axis]) > tolerance)
+        if int(np.count_nonzero(is_across)) > largest_count:
+            largest_count = int(np.count_nonzero(is_across))
+            best_mirrored = is_mirrored
+    return best_mirrored
 
 
 def _is_symmetric(are_mirrored: BoolArray) -> bool:
-    """Return whether a rig is intended to be symmetric."""
+    """Return whether at least half of several pairs are mirror images."""
     mirrored_count = int(np.count_nonzero(are_mirrored))
     return len(are_mirrored) > 1 and 2 * mirrored_count >= len(are_mirrored)
 
@@ -267,13 +267,13 @@ def _same_limits(left: Joint, right: Joint) -> bool:
             return _same_range((low, high), (other_low, other_high))
         case BallLimit() as left_limits, BallLimit() as right_limits:
             swings = sorted(left_limits.swing or ()), sorted(right_limits.swing or ())
-            are_equal = len(swings[0]) == len(swings[1]) and np.allclose(
+            is_same_swing = len(swings[0]) == len(swings[1]) and np.allclose(
                 *swings, rtol=0, atol=EQUAL_LIMIT_TOLERANCE
             )
             if left_limits.twist is None or right_limits.twist is None:
-                return bool(are_equal) and left_limits.twist == right_limits.twist
+                return bool(is_same_swing) and left_limits.twist == right_limits.twist
             is_same_twist = _same_range(left_limits.twist, right_limits.twist)
-            return bool(are_equal) and is_same_twist
+            return bool(is_same_swing) and is_same_twist
         case left_limits, right_limits:
             return left_limits is None and right_limits is None
 

@@ -30,7 +30,7 @@ COLLISION_HINT = "the second gets a number there; rename one"
 
 
 def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
-    """Yield names of a rig or a capture that are equal in USD (RIG219)."""
+    """Report names of a rig or a capture that are equal in USD (RIG219)."""
     if isinstance(subject, RigSubject):
         for key in NAME_GROUPS:
             for name, message in _name_collisions(group_names(subject, key)):
@@ -42,7 +42,7 @@ def name_collisions(subject: RigSubject | TakeSubject) -> Iterator[Fault]:
 
 
 def names_changed_by_usd(rig: RigSubject) -> Iterator[Fault]:
-    """Yield lists with names that are changed to be legal in USD (RIG221)."""
+    """Report lists with names that are changed to be legal in USD (RIG221)."""
     if "from" in rig.document.value:
         return
     for key in NAME_GROUPS:
@@ -61,7 +61,7 @@ def names_changed_by_usd(rig: RigSubject) -> Iterator[Fault]:
 
 
 def group_names(rig: RigSubject, key: str) -> list[str]:
-    """Return the names of one of `NAME_GROUPS`."""
+    """Return the names in a list of a rig, a key of `NAME_GROUPS`, in order."""
     return [entry.name for entry in getattr(rig.rig, key)]
 
 
@@ -71,29 +71,32 @@ def _name_collisions(names: Sequence[str]) -> Iterator[tuple[str, str]]:
     for name in names:
         usd_name = legal_usd_name(name)
         if usd_name in first_by_usd_name:
-            pair = f"{name!r} and {first_by_usd_name[usd_name]!r}"
-            yield name, f"{pair} both become {usd_name!r} in USD"
+            names_text = f"{name!r} and {first_by_usd_name[usd_name]!r}"
+            yield name, f"{names_text} both become {usd_name!r} in USD"
         first_by_usd_name.setdefault(usd_name, name)
 
 
 def legal_usd_name(name: str) -> str:
-    """Return a name with `_` for characters illegal in a prim name."""
+    """Replace characters that are illegal in a prim name by `_`.
+
+    A name that starts with a digit gets `_` in front.
+    """
     identifier = re.sub(r"\W", "_", name)
     return f"_{identifier}" if identifier[:1].isdigit() else identifier
 
 
 # Largest error of weight sums whose weights were rounded to a byte each [1].
-WEIGHT_TOLERANCE = 0.02
+WEIGHT_SUM_TOLERANCE = 0.02
 # Engines support four or eight joints per vertex.
 MAX_INFLUENCES = 8
 # Size ratio of a mesh and its skeleton that is rarely exceeded [1].
-SIZE_RATIO = 30.0
+MAX_SIZE_RATIO = 30.0
 # With fewer joints, a rig is a prop that may be anywhere in a large mesh.
-MIN_JOINTS = 3
+MIN_SKELETON_JOINTS = 3
 
 
 def ineffective_shapes(rig: RigSubject) -> Iterator[Fault]:
-    """Yield shapes that move no point (RIG209)."""
+    """Report shapes that move no point (RIG209)."""
     combined_names = {name for shape in rig.rig.shapes for name in shape.combine}
     with Archives() as archives:
         for shape in rig.rig.shapes:
@@ -124,10 +127,10 @@ def _skinned_meshes(rig: RigSubject) -> Iterator[tuple[Mesh, FloatArray, Locatio
 
 
 def weight_sums(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skins whose weights do not sum to 1 (RIG210)."""
+    """Report skins whose weights do not sum to 1 (RIG210)."""
     for mesh, weights, location in _skinned_meshes(rig):
         sum_errors = np.abs(weights.sum(axis=1) - 1.0)
-        wrong_points = np.flatnonzero(sum_errors > WEIGHT_TOLERANCE)
+        wrong_points = np.flatnonzero(sum_errors > WEIGHT_SUM_TOLERANCE)
         if not len(wrong_points):
             continue
         worst_point = int(sum_errors.argmax())
@@ -141,33 +144,36 @@ def weight_sums(rig: RigSubject) -> Iterator[Fault]:
 
 
 def many_influences(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skins with more influences per point than engines allow (RIG211)."""
+    """Report skins with more influences per point than engines allow (RIG211)."""
     for mesh, weights, location in _skinned_meshes(rig):
-        counts = np.count_nonzero(weights, axis=1)
-        points_above = np.flatnonzero(counts > MAX_INFLUENCES)
+        influence_counts = np.count_nonzero(weights, axis=1)
+        points_above = np.flatnonzero(influence_counts > MAX_INFLUENCES)
         if not len(points_above):
             continue
         message = (
             f"{counted(len(points_above), 'point')} of {mesh.name!r} follow more than "
             f"{MAX_INFLUENCES} joints, point {points_above[0]} follows "
-            f"{counts[points_above[0]]}"
+            f"{influence_counts[points_above[0]]}"
         )
         hint = f"keep the {MAX_INFLUENCES} largest weights"
         yield rig.fault("RIG211", location, message, hint)
 
 
 def mesh_size(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skinned meshes whose size does not match the skeleton (RIG218)."""
-    if len(rig.rig.joints) < MIN_JOINTS or not rig.size:
+    """Report skinned meshes whose size does not match the skeleton (RIG218)."""
+    if len(rig.rig.joints) < MIN_SKELETON_JOINTS or not rig.size:
         return
     with Archives() as archives:
         sizes = {
-            mesh.name: _diagonal(mesh, archives) * rig.rig.meters_per_unit
+            mesh.name: _bounds_diagonal(mesh, archives) * rig.rig.meters_per_unit
             for mesh in rig.rig.meshes
             if mesh.skin is not None and mesh.geom_bind is None
         }
     largest = max(sizes.values(), default=0.0)
-    if largest and not rig.size / SIZE_RATIO <= largest <= rig.size * SIZE_RATIO:
+    if (
+        largest
+        and not rig.size / MAX_SIZE_RATIO <= largest <= rig.size * MAX_SIZE_RATIO
+    ):
         largest_name = max(sizes, key=lambda name: sizes[name])
         message = (
             f"{largest_name!r} measures {largest:.3g} m, but the joints at rest "
@@ -178,7 +184,7 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
         yield rig.fault("RIG218", location, message, hint)
 
 
-def _diagonal(mesh: Mesh, archives: Archives) -> float:
+def _bounds_diagonal(mesh: Mesh, archives: Archives) -> float:
     points = mesh.points.load(archives)
     if not len(points):
         return 0.0
@@ -192,13 +198,13 @@ MIN_SKIN_POINTS = 4
 MAX_SKIN_SPREADS, MAX_SKIN_DISTANCE = 2.0, 0.05
 # Skins of left and right are exchanged if both are nearer to the other side's bones
 # than this fraction of the distance to their own [1].
-MAX_OTHER_DISTANCE = 0.5
+MAX_EXCHANGED_DISTANCE = 0.5
 # A single joint may have a prop that is elsewhere.
 MIN_DISTANT_JOINTS = 2
 
 
 def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
-    """Yield skinned meshes that are not where their joints are bound (RIG225)."""
+    """Report skinned meshes that are not where their joints are bound (RIG225)."""
     if not rig.size or not any(mesh.skin for mesh in rig.rig.meshes):
         return
     positions = rig.bind_positions
@@ -208,9 +214,9 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
                 continue
             points_by_joint = _points_by_joint(rig, mesh, archives)
             location = (*rig.at("meshes", mesh.name), "skin")
-            exchanged = _exchanged_skins(rig, points_by_joint, positions)
-            if exchanged:
-                left, right = (rig.rig.names[joint] for joint in exchanged)
+            exchanged_joints = _exchanged_skins(rig, points_by_joint, positions)
+            if exchanged_joints:
+                left, right = (rig.rig.names[joint] for joint in exchanged_joints)
                 message = f"the skin of {left!r} is at {right!r}, and vice versa"
                 yield rig.fault("RIG225", location, message, "exchange the two joints")
                 continue
@@ -224,10 +230,11 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
                     distances[rig.rig.names[joint]] = distance
             if len(distances) < MIN_DISTANT_JOINTS:
                 continue
-            worst = max(distances, key=lambda name: distances[name])
+            farthest_name = max(distances, key=lambda name: distances[name])
             message = (
                 f"{mesh.name!r} is not where {len(distances)} of its joints are bound: "
-                f"the skin of {worst!r} is {length_text(distances[worst])} from it"
+                f"the skin of {farthest_name!r} is "
+                f"{length_text(distances[farthest_name])} from it"
             )
             hint = "write the pose in which the mesh was made under bind"
             if rig.rig.bind:
@@ -248,7 +255,7 @@ def _exchanged_skins(
         centres = [points_by_joint[joint].mean(axis=0) for joint in (left, right)]
         if all(
             _distance_to_joint(rig, centre, other, positions)
-            < MAX_OTHER_DISTANCE * _distance_to_joint(rig, centre, joint, positions)
+            < MAX_EXCHANGED_DISTANCE * _distance_to_joint(rig, centre, joint, positions)
             for centre, joint, other in zip(
                 centres, (left, right), (right, left), strict=True
             )
@@ -267,7 +274,10 @@ def _distance_to_joint(
 def _points_by_joint(
     rig: RigSubject, mesh: Mesh, archives: Archives
 ) -> dict[int, FloatArray]:
-    """Return the points ``(N, 3)`` [m] that follow each joint most."""
+    """Group a mesh's points ``(N, 3)`` [m] by the joint with the largest weight.
+
+    Joints with fewer than `MIN_SKIN_POINTS` are omitted.
+    """
     skin = mesh.skin
     if skin is None or not skin.joints:
         return {}
@@ -289,13 +299,13 @@ def _distance_to_bones(point: FloatArray, ends: FloatArray) -> float:
 
 
 # Joints with narrower limits do not bend noticeably [rad], [m].
-FIXED_SPAN = 1e-3
+MIN_LIMIT_SPAN = 1e-3
 # Directions this close are parallel; sin 0.6°.
 PARALLEL_SINE = 0.01
 
 
 def unbendable_chains(rig: RigSubject) -> Iterator[Fault]:
-    """Yield chains in which only the root can move the tip (RIG214)."""
+    """Report chains in which only the root can move the tip (RIG214)."""
     for chain in rig.rig.chains:
         joints = _chain_joints(rig, chain)
         inner_joints = joints[1:-1]
@@ -312,7 +322,7 @@ def unbendable_chains(rig: RigSubject) -> Iterator[Fault]:
 
 
 def straight_chains(rig: RigSubject) -> Iterator[Fault]:
-    """Yield chains that are straight at rest and can bend in any direction (RIG215)."""
+    """Report chains that are straight at rest and can bend to any side (RIG215)."""
     positions, rotations = rig.rest
     for chain in rig.rig.chains:
         joints = _chain_joints(rig, chain)
@@ -337,8 +347,8 @@ def straight_chains(rig: RigSubject) -> Iterator[Fault]:
                 yield rig.fault("RIG215", location, message, hint)
             continue
         parent = rig.rig.parents[joints[0]]
-        frame = so3.IDENTITY if parent < 0 else rotations[parent]
-        pole = so3.rotate(frame, np.array(chain.pole_dir))
+        parent_rotation = so3.IDENTITY if parent < 0 else rotations[parent]
+        pole = so3.rotate(parent_rotation, np.array(chain.pole_dir))
         if float(np.linalg.norm(np.cross(pole, root_to_tip / length))) < PARALLEL_SINE:
             message = f"the pole_dir of {chain.name!r} points along the chain"
             hint = "it sets the direction of the middle: across the chain"
@@ -364,8 +374,8 @@ def _can_bend(rig: RigSubject, joint_index: int, tip: int) -> bool:
             is_locked = isinstance(limits, RangeLimit) and not _allows_motion(limits)
             return not is_locked and not _is_parallel(tip_offset, np.array(joint.axis))
         case JointType.BALL, BallLimit(swing=swing, twist=twist, twist_axis=axis):
-            can_twist = twist is None or twist[1] - twist[0] > FIXED_SPAN
-            can_swing = swing is None or max(swing) > FIXED_SPAN
+            can_twist = twist is None or twist[1] - twist[0] > MIN_LIMIT_SPAN
+            can_swing = swing is None or max(swing) > MIN_LIMIT_SPAN
             can_twist = can_twist and not _is_parallel(tip_offset, np.array(axis))
             return can_swing or can_twist
         case _:
@@ -385,7 +395,7 @@ def _is_parallel(vector: FloatArray, axis: FloatArray) -> bool:
 
 
 def _allows_motion(limits: RangeLimit) -> bool:
-    return limits.high - limits.low > FIXED_SPAN
+    return limits.high - limits.low > MIN_LIMIT_SPAN
 
 
 def _no_bend_reason(joint: Joint) -> str:

@@ -24,7 +24,7 @@ from animtool.validation.subjects.scene import SceneSubject
 
 
 def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that would overwrite inputs (OUT003)."""
+    """Report outputs that would overwrite inputs (OUT003)."""
     scene = subject.scene
     read_files = {*subject.read_files, *scene.inputs, scene.path}
     for location, output in subject.outputs:
@@ -33,14 +33,14 @@ def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
         rig_layers = [output.bake.rig_layer] if output.bake.rig_layer else []
         inputs = {path.resolve() for path in (*read_files, *rig_layers)}
         files = create_outline(replace(scene, outputs=(output,)), None).files
-        overwritten = [repr(path.name) for path in files if path.resolve() in inputs]
-        if overwritten:
-            message = f"would overwrite {' and '.join(overwritten)}, which it reads"
+        names = [repr(path.name) for path in files if path.resolve() in inputs]
+        if names:
+            message = f"would overwrite {' and '.join(names)}, which it reads"
             yield subject.fault("OUT003", (*location, "file"), message, "name another")
 
 
 def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs that another scene in the folder writes too (SCN204).
+    """Report outputs that another scene in the folder writes too (SCN204).
 
     Several takes of one library are no conflict.
     """
@@ -55,21 +55,21 @@ def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
             continue
         file_stat = path.stat()
         other_outputs = _scene_outputs(path, file_stat.st_mtime_ns, file_stat.st_size)
-        for location, written in written_outputs:
-            if written in other_outputs:
-                message = f"{path.name!r} also writes {written[0].name!r}"
+        for location, written_output in written_outputs:
+            if written_output in other_outputs:
+                message = f"{path.name!r} also writes {written_output[0].name!r}"
                 hint = "change the name in one of them"
                 yield subject.fault("SCN204", (*location, "file"), message, hint)
 
 
 def _library_take(scene: Path, bake: BakeOptions) -> str:
-    """Return the name of the library take that is written; "" for a complete file."""
+    """Return the name of the take that a bake adds to a library, else ""."""
     return take_name(bake, scene) if bake.form == "library" else ""
 
 
 @lru_cache(maxsize=4096)
 def _scene_outputs(
-    path: Path, _changed: int, _size: int
+    path: Path, _modified_ns: int, _byte_count: int
 ) -> tuple[tuple[Path, str], ...]:
     """Return the files and takes that a scene writes; cached by state of the file."""
     try:
@@ -79,23 +79,23 @@ def _scene_outputs(
     except AnimtoolError:
         return ()
     output_value = document.value.get("output")
-    entries = output_value if isinstance(output_value, list) else [output_value]
+    outputs = output_value if isinstance(output_value, list) else [output_value]
     return tuple(
-        ((path.parent / name).resolve(), _library_take(path, _named_take(entry)))
-        for entry in entries
-        if isinstance(entry, dict) and isinstance(name := entry.get("file"), str)
+        ((path.parent / name).resolve(), _library_take(path, _take_options(output)))
+        for output in outputs
+        if isinstance(output, dict) and isinstance(name := output.get("file"), str)
     )
 
 
-def _named_take(entry: dict[str, Any]) -> BakeOptions:
-    """Return bake options with the take key and name of an output entry."""
-    form = "library" if entry.get("as") == "library" else None
-    take = entry.get("take")
+def _take_options(output: dict[str, Any]) -> BakeOptions:
+    """Return bake options with only the library form and take name of an output."""
+    form = "library" if output.get("as") == "library" else None
+    take = output.get("take")
     return BakeOptions(form=form, take=take if isinstance(take, str) else None)
 
 
 def outputs_without_folder(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield outputs whose folder does not exist (SCN212)."""
+    """Report outputs whose folder does not exist (SCN212)."""
     for location, output in subject.outputs:
         folder = None if output.path is None else output.path.parent
         if folder is None or folder.is_dir():
@@ -107,19 +107,19 @@ def outputs_without_folder(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def unknown_tolerance_joints(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield tolerances of unknown joints (SCN207)."""
+    """Report tolerances of unknown joints (SCN207)."""
     for location, output in subject.outputs:
-        bounds = dict(output.bake.reduce_at)
+        tolerances = dict(output.bake.reduce_at)
         try:
-            joint_bounds(subject.take.rig, output.bake.reduce or 1.0, bounds)
+            joint_bounds(subject.take.rig, output.bake.reduce or 1.0, tolerances)
         except OptionError as error:
-            pointer = (*location, "reduce_at")
+            key_path = (*location, "reduce_at")
             for fault in error.faults:
-                yield subject.fault("SCN207", pointer, fault.message, fault.hint)
+                yield subject.fault("SCN207", key_path, fault.message, fault.hint)
 
 
 def missing_curves(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield curves to keep that do not exist (SCN208)."""
+    """Report curves to keep that do not exist (SCN208)."""
     for location, output in subject.outputs:
         if output.bake.keep_curves and not subject.has_control_curves:
             message = "there is no control whose curve could be kept"
@@ -131,19 +131,19 @@ def missing_curves(subject: SceneSubject) -> Iterator[Fault]:
 
 # Relative difference below which rates are meant to be equal: 24 and 23.976, 30 and
 # 29.97 [1].
-NEAR_RATES = Fraction(1, 50)
+MAX_NEAR_RATE_RATIO = Fraction(1, 50)
 
 # Passes that request a result, which a take may already have.
-_DEFINES_RESULT = frozenset({"ik", "resample"})
+_RESULT_PASSES = frozenset({"ik", "resample"})
 # Passes that keep the world positions of joints although the table says otherwise.
-_KEEPS_POSE = frozenset({"root_motion"})
+_POSE_KEEPING_PASSES = frozenset({"root_motion"})
 
 
 def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that leave the take unchanged (SCN201)."""
+    """Report passes that leave the take unchanged (SCN201)."""
     for i in subject.idle_passes:
         name = subject.scene.passes[i].pass_.name
-        if name in _DEFINES_RESULT:
+        if name in _RESULT_PASSES:
             continue
         message = f"the pass {name} changes nothing"
         hint = "remove it, or set options that have an effect"
@@ -151,21 +151,21 @@ def idle_passes(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def range_outside_take(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a range that extends beyond the take (SCN202)."""
+    """Report a range that extends beyond the take (SCN202)."""
     yield from _range_faults(
-        subject, "SCN202", "extends beyond the take", completely=False
+        subject, "SCN202", "extends beyond the take", is_outside=False
     )
 
 
 def range_without_frames(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a frame range in which there is no frame to write (SCN211)."""
+    """Report a frame range in which there is no frame to write (SCN211)."""
     yield from _range_faults(
-        subject, "SCN211", "contains no frame of the take", completely=True
+        subject, "SCN211", "contains no frame of the take", is_outside=True
     )
 
 
 def _range_faults(
-    subject: SceneSubject, code: str, reason: str, *, completely: bool
+    subject: SceneSubject, code: str, reason: str, *, is_outside: bool
 ) -> Iterator[Fault]:
     """Yield a fault if a frame range is partly or completely outside the take."""
     scene, clock = subject.scene, subject.take.clock
@@ -175,7 +175,7 @@ def _range_faults(
     last_code = start_code + clock.duration * (scene.bake.fps or clock.fps)
     if start_code <= frame_range.first and frame_range.last <= last_code:
         return
-    if completely != (frame_range.last < start_code or frame_range.first > last_code):
+    if is_outside != (frame_range.last < start_code or frame_range.first > last_code):
         return
     subject_text, location = "range", ("range",)
     if scene.bake.shot is not None:
@@ -199,11 +199,11 @@ def _output_start(subject: SceneSubject) -> Fraction | None:
 
 
 def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield a rate slightly different from the take's (SCN205)."""
+    """Report a rate slightly different from the take's (SCN205)."""
     output_rate, source_rate = subject.scene.bake.fps, subject.take.clock.rate
     if output_rate is None or output_rate == source_rate:
         return
-    if abs(output_rate - source_rate) > NEAR_RATES * source_rate:
+    if abs(output_rate - source_rate) > MAX_NEAR_RATE_RATIO * source_rate:
         return
     rates = f"{rate_label(output_rate)}, but the take {rate_label(source_rate)}"
     message = f"the output has {rates}"
@@ -212,7 +212,7 @@ def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield passes that change poses after an `ik` pass reached its goals (SCN210)."""
+    """Report passes that change poses after an `ik` pass reached its goals (SCN210)."""
     ik_pass = ""
     for i, pass_entry in enumerate(subject.scene.passes):
         if i in subject.ik_input_takes:
@@ -228,18 +228,18 @@ def undone_goals(subject: SceneSubject) -> Iterator[Fault]:
 
 def _changes_poses(pass_: Pass) -> bool:
     """Return whether a pass changes poses, not only their timing."""
-    changes_joints = TakePart.JOINTS in pass_.changes
+    is_moving = TakePart.JOINTS in pass_.changes
     is_retiming = TakePart.CLOCK in pass_.changes
-    return changes_joints and not is_retiming and pass_.name not in _KEEPS_POSE
+    return is_moving and not is_retiming and pass_.name not in _POSE_KEEPING_PASSES
 
 
 def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield props whose files have no frame of the take (SCN213)."""
+    """Report props whose files have no frame of the take (SCN213)."""
     take = subject.take
     if take.motion.track_times is None:
         return
     times = take.motion.track_times.dense()[..., 0]
-    indices = {prop.path: i for i, prop in enumerate(subject.scene.props)}
+    index_of_prop = {prop.path: i for i, prop in enumerate(subject.scene.props)}
     for column, track in enumerate(take.tracks):
         is_outside = track.at(times[:, column]).is_clamped
         if is_outside is None or not is_outside.all():
@@ -250,12 +250,12 @@ def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
             f"{last_time:g}"
         )
         hint = "write `frame:` with the first frame of its file"
-        location = ("props", indices[track.path])
+        location = ("props", index_of_prop[track.path])
         yield subject.fault("SCN213", location, message, hint)
 
 
 def unused_variables(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield unused variables (SCN209)."""
+    """Report unused variables (SCN209)."""
     for name in sorted(subject.scene.idle_variables):
         message = f"no text of the scene uses ${{{name}}}"
         yield subject.fault("SCN209", ("variables", name), message, "remove it")

@@ -36,11 +36,11 @@ MAX_COMPARED_PAIRS = 1000
 
 @dataclass(frozen=True, eq=False)
 class TargetsSubject(DocumentSubject):
-    """A targets file and its rig."""
+    """A targets file that was read without a rig."""
 
     targets: TargetTracks  # its content, for an unknown rig
 
-    def outside(
+    def range_fault(
         self, goal: int, key: Location, message: str, first: float, last: float
     ) -> Fault:
         """Return a fault of keys outside the file's range (TGT201)."""
@@ -50,32 +50,32 @@ class TargetsSubject(DocumentSubject):
 
 
 def open_targets(document: Document) -> CheckedFile:
-    """Return the subject of a targets file."""
+    """Read a targets file for the rules; it is checked without a rig."""
     targets = targets_of_document(document, None)
     subject = TargetsSubject(document, targets)
     return CheckedFile(Kind.TARGETS, list(targets.notices), subject)
 
 
 def keys_outside_range(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield keys and spans outside the range of the file (TGT201)."""
+    """Report keys and spans outside the range of the file (TGT201)."""
     range_first, range_last = subject.targets.first, subject.targets.last
     if range_first is None or range_last is None:
         return
     first_frame, last_frame = float(range_first), float(range_last)
     for i, goal in enumerate(subject.targets.goals):
         for key, times, are_keys in _keys_outside(goal, first_frame, last_frame):
-            part = f"{key} of {goal.name!r}"
-            message = f"{part} from {times[0]:g} to {times[-1]:g} is never met"
+            keys_text = f"{key} of {goal.name!r}"
+            message = f"{keys_text} from {times[0]:g} to {times[-1]:g} is never met"
             if are_keys:
                 times_text = listed([f"{time:g}" for time in times])
-                message = f"keys of the {part} are never used: {times_text}"
-            yield subject.outside(i, (key,), message, first_frame, last_frame)
+                message = f"keys of the {keys_text} are never used: {times_text}"
+            yield subject.range_fault(i, (key,), message, first_frame, last_frame)
 
 
 def _keys_outside(
     goal: GoalTrack, first: float, last: float
 ) -> Iterator[tuple[str, Sequence[float], bool]]:
-    """Yield the keys or spans of a goal that are outside a frame range."""
+    """Yield key name, times, and whether they are keys, outside a frame range."""
     for goal_kind, value in goal.values.items():
         if isinstance(value, KeyedValue):
             unused_keys = keys_without_effect(value.channel, first, last)
@@ -88,20 +88,22 @@ def _keys_outside(
 
 
 def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield goals that constrain an effector in the same way as another (TGT202)."""
+    """Report goals that constrain an effector in the same way as another (TGT202)."""
     goals = subject.targets.goals
-    by_effector: dict[tuple[object, ...], list[int]] = {}
+    groups: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
         effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        by_effector.setdefault(effector, []).append(i)
-    pairs = [pair for group in by_effector.values() for pair in combinations(group, 2)]
+        groups.setdefault(effector, []).append(i)
+    pairs = [pair for group in groups.values() for pair in combinations(group, 2)]
     for first_index, second_index in sorted(pairs)[:MAX_COMPARED_PAIRS]:
         first, second = goals[first_index], goals[second_index]
-        kinds = [kind.name for kind in first.goal.kinds if kind in second.goal.kinds]
-        if not kinds or not _spans_overlap(first.during, second.during):
+        shared_kinds = [
+            kind.name for kind in first.goal.kinds if kind in second.goal.kinds
+        ]
+        if not shared_kinds or not _spans_overlap(first.during, second.during):
             continue
-        name, kinds_text = second.name, listed(kinds)
-        if all(_equal_values(first.values[k], second.values[k]) for k in kinds):
+        name, kinds_text = second.name, listed(shared_kinds)
+        if all(_equal_values(first.values[k], second.values[k]) for k in shared_kinds):
             message = f"targets the {kinds_text} of {name!r} a second time"
             hint = "remove one of them; weight sets how much it counts"
         else:
@@ -139,7 +141,7 @@ def _equal_values(first: Value | None, second: Value | None) -> bool:
 
 
 def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield goal parts whose weight is 0 in all frames (TGT203)."""
+    """Report goal parts whose weight is 0 in all frames (TGT203)."""
     for i, goal in enumerate(subject.targets.goals):
         for kind_name, weight in goal.weights.items():
             match weight:
@@ -150,14 +152,14 @@ def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
                 case _:
                     continue
             if getattr(goal.goal, kind_name) > 0:
-                part = f"the {kind_name}"
-                message = f"{part} of {goal.name!r} has the weight 0 throughout"
+                part_text = f"the {kind_name}"
+                message = f"{part_text} of {goal.name!r} has the weight 0 throughout"
                 location = ("goals", i, "weight", kind_name)
-                yield subject.fault("TGT203", location, message, f"remove {part}")
+                yield subject.fault("TGT203", location, message, f"remove {part_text}")
 
 
 def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
-    """Yield hold spans without an active goal (TGT204)."""
+    """Report hold spans without an active goal (TGT204)."""
     for i, goal in enumerate(subject.targets.goals):
         for span in goal.spans:
             if not _spans_overlap([span], goal.during):
@@ -171,7 +173,7 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
 REACH_TOLERANCE = 1e-3
 # If all points are farther from the root joint than this many rig sizes, they are in
 # another unit if that puts them within LIKELY sizes [1].
-FAR_SIZES, LIKELY_SIZES = 8.0, 2.0
+MIN_FAR_SIZES, MAX_LIKELY_SIZES = 8.0, 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,7 +187,7 @@ class _SampledTargets:
     targets: Targets  # sampled targets of the goals
 
     def points(self, goal_index: int) -> tuple[FloatArray, BoolArray]:
-        """Return a goal's target points ``(F, 3)``, and its active frames."""
+        """Return a goal's target points ``(F, 3)`` [m] and a mask of active frames."""
         weights = np.asarray(self.targets.weights)[:, goal_index, 0]
         is_active = (weights > 0) & (self.tracks.goals[goal_index].goal.position > 0)
         return np.asarray(self.targets.positions)[:, goal_index], np.asarray(is_active)
@@ -215,7 +217,7 @@ def _sampled_targets(subject: SceneSubject) -> tuple[_SampledTargets, ...]:
 
 
 def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield goals beyond the reach of the fully extended chain (TGT205)."""
+    """Report goals beyond the reach of the fully extended chain (TGT205)."""
     for sampled_targets in _sampled_targets(subject):
         rig, times = sampled_targets.take.rig, sampled_targets.take.clock.times
         goal_joints = _goal_joints(rig, sampled_targets.tracks.goals)
@@ -249,7 +251,7 @@ def goals_out_of_reach(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def _goal_joints(rig: Rig, goals: Sequence[GoalTrack]) -> frozenset[int]:
-    """Return the joints that at least one goal may move."""
+    """Return the indices of joints, fixed ones excluded, that a goal may move."""
     goal_joints: set[int] = set()
     for track in goals:
         joint = rig.index(track.goal.joint)
@@ -308,7 +310,7 @@ def _chain_reach(
 
 
 def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield targets whose points would fit the rig in another length unit (TGT206)."""
+    """Report targets whose points would fit the rig in another length unit (TGT206)."""
     for sampled_targets in _sampled_targets(subject):
         rig, file_unit = sampled_targets.take.rig, sampled_targets.unit
         size = rest_size(rig)
@@ -318,24 +320,24 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
             for goal_index, track in enumerate(sampled_targets.tracks.goals)
             if isinstance(track.values["position"], Constant | KeyedValue | ArrayRows)
         ]
-        points = [np.zeros((0, 3))]
+        point_sets = [np.zeros((0, 3))]
         for goal_points, is_active in map(sampled_targets.points, goal_indices):
-            points.append(goal_points[is_active])
-        all_points = np.concatenate(points)
+            point_sets.append(goal_points[is_active])
+        all_points = np.concatenate(point_sets)
         if not len(all_points):
             continue
         root = sampled_targets.world.positions[0, rig.roots[0]]
-        if np.linalg.norm(all_points - root, axis=1).min() <= FAR_SIZES * size:
+        if np.linalg.norm(all_points - root, axis=1).min() <= MIN_FAR_SIZES * size:
             continue
         fitting_units = []
         for unit in LengthUnit:
             offsets = all_points * (unit.meters / file_unit) - root
-            if np.linalg.norm(offsets, axis=1).max() <= LIKELY_SIZES * size:
+            if np.linalg.norm(offsets, axis=1).max() <= MAX_LIKELY_SIZES * size:
                 fitting_units.append(unit)
         if fitting_units:
             message = (
                 f"the points are in {unit_name(file_unit)}, and all are farther from "
-                f"the rig than {FAR_SIZES:g} times its size"
+                f"the rig than {MIN_FAR_SIZES:g} times its size"
             )
             hint = f"units: {{length: {fitting_units[0]}}} is more plausible"
             yield sampled_targets.fault(
@@ -344,7 +346,7 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
 
 
 def targets_beyond_take(subject: SceneSubject) -> Iterator[Fault]:
-    """Yield targets in frames outside the take (TGT207)."""
+    """Report targets in frames outside the take (TGT207)."""
     for sampled_targets in _sampled_targets(subject):
         times = sampled_targets.take.clock.times
         first_time, last_time = float(times[0]), float(times[-1])

@@ -19,15 +19,15 @@ from animtool.motion.markers import Markers
 from animtool.validation.subjects.subject import CheckedFile
 
 # Fraction of its frames in which a marker may be missing.
-MISSING_FRACTION = 0.1
+MAX_MISSING_FRACTION = 0.1
 # Fraction of all points that may be unlabelled.
-UNLABELLED_FRACTION = 0.1
+MAX_UNLABELLED_FRACTION = 0.1
 # Plausible extents of the markers in a frame [m]: larger than any stage, and smaller
 # than a face. A person in a wrong unit is 10 or 1000 times as large or small.
 MAX_EXTENT, MIN_EXTENT = 30.0, 0.03
 # Two markers that are nearer than this in most frames are the same point [m].
-SAME_POINT = 1e-4
-SAME_FRACTION = 0.5
+MAX_SAME_DISTANCE = 1e-4
+MIN_SAME_FRACTION = 0.5
 MAX_LISTED_MARKERS = 12
 # Frames per block of the comparison of all marker pairs.
 BLOCK_FRAMES = 64
@@ -35,7 +35,7 @@ BLOCK_FRAMES = 64
 
 @dataclass(frozen=True, eq=False)
 class MarkersSubject:
-    """Markers and their file."""
+    """Subject of the marker rules: the markers of a file."""
 
     path: Path  # the file
     markers: Markers  # all markers
@@ -43,12 +43,12 @@ class MarkersSubject:
     def fault(
         self, code: str, message: str, hint: str | None = None, where: str | None = None
     ) -> Fault:
-        """Return a fault of the file, or of a marker."""
+        """Return a fault of the file, or of the marker named by ``where``."""
         return Fault(code, message, str(self.path), (), hint, where=where)
 
 
 def open_trajectories(path: Path) -> CheckedFile:
-    """Return the subject of a C3D, TRC or npz marker file, with every frame read."""
+    """Read all frames of a C3D, TRC or npz marker file for the rules."""
     from animtool.formats.marker_files import open_markers
 
     markers = open_markers(path)
@@ -67,34 +67,34 @@ def open_coordinates(path: Path) -> CheckedFile:
 
 
 def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield labelled markers that are missing from a large part of frames (MKR201)."""
+    """Report labelled markers that are missing from a large part of frames (MKR201)."""
     markers = subject.markers
     missing_fractions = (1.0 - markers.visible.mean(axis=0)).tolist()
-    often_missing = [
+    missing_texts = [
         f"{name} {percent_text(fraction)}"
         for name, fraction in zip(markers.names, missing_fractions, strict=True)
-        if not name.startswith("*") and MISSING_FRACTION < fraction < 1.0
+        if not name.startswith("*") and MAX_MISSING_FRACTION < fraction < 1.0
     ]
-    if often_missing:
+    if missing_texts:
         message = (
-            f"{counted(len(often_missing), 'marker')} missing from more than "
-            f"{percent_text(MISSING_FRACTION)} of frames: "
-            f"{listed(often_missing, MAX_LISTED_MARKERS)}"
+            f"{counted(len(missing_texts), 'marker')} missing from more than "
+            f"{percent_text(MAX_MISSING_FRACTION)} of frames: "
+            f"{listed(missing_texts, MAX_LISTED_MARKERS)}"
         )
         hint = "animtool mocap fill fills gaps; a solve on a rig needs fewer markers"
         yield subject.fault("MKR201", message, hint)
 
 
 def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield markers with spikes of a few frames (MKR202)."""
-    outliers = find_spikes(subject.markers)
-    if outliers:
-        largest = max(outliers, key=lambda spike: spike.size)
+    """Report markers with spikes of a few frames (MKR202)."""
+    spikes = find_spikes(subject.markers)
+    if spikes:
+        largest = max(spikes, key=lambda spike: spike.size)
         # Frame numbers of the file.
         frame = int(subject.markers.clock.start) + largest.first
-        names = list(dict.fromkeys(spike.marker for spike in outliers))
+        names = list(dict.fromkeys(spike.marker for spike in spikes))
         message = (
-            f"{counted(len(outliers), 'spike')} of "
+            f"{counted(len(spikes), 'spike')} of "
             f"{listed(names, MAX_LISTED_MARKERS)}; the largest, "
             f"{1000 * largest.size:.3g} mm, of {largest.marker} at frame {frame}"
         )
@@ -104,10 +104,10 @@ def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
 
 def unlabelled_points(subject: MarkersSubject) -> Iterator[Fault]:
     """Yield a fault if a large part of the points has no label (MKR203)."""
-    names, visible = subject.markers.names, subject.markers.visible
+    names, is_visible = subject.markers.names, subject.markers.visible
     is_unlabelled = np.array([name.startswith("*") for name in names], np.bool_)
-    fraction = int(visible[:, is_unlabelled].sum()) / max(int(visible.sum()), 1)
-    if fraction > UNLABELLED_FRACTION:
+    fraction = int(is_visible[:, is_unlabelled].sum()) / max(int(is_visible.sum()), 1)
+    if fraction > MAX_UNLABELLED_FRACTION:
         message = f"{percent_text(fraction)} of all points have no label"
         hint = "animtool mocap label names them"
         yield subject.fault("MKR203", message, hint)
@@ -118,51 +118,51 @@ def implausible_extent(subject: MarkersSubject) -> Iterator[Fault]:
     extents = _frame_extents(subject.markers.positions, subject.markers.visible)
     if not len(extents):
         return
-    median = float(np.median(extents))
-    if median > MAX_EXTENT:
-        extent = f"{median:.3g} m apart: too far for a capture volume"
-    elif median < MIN_EXTENT:
-        extent = f"{1000 * median:.3g} mm apart: too close"
+    median_extent = float(np.median(extents))
+    if median_extent > MAX_EXTENT:
+        extent_text = f"{median_extent:.3g} m apart: too far for a capture volume"
+    elif median_extent < MIN_EXTENT:
+        extent_text = f"{1000 * median_extent:.3g} mm apart: too close"
     else:
         return
     hint = f"set the unit of its lengths with {argument('source.unit')}"
-    yield subject.fault("MKR204", f"markers of a frame are {extent}", hint)
+    yield subject.fault("MKR204", f"markers of a frame are {extent_text}", hint)
 
 
-def _frame_extents(positions: FloatArray, visible: BoolArray) -> FloatArray:
-    """Return the bounds diagonals of frames with three points or more."""
-    has_several = visible.sum(axis=1) >= 3
-    if not has_several.any():
+def _frame_extents(positions: FloatArray, is_visible: BoolArray) -> FloatArray:
+    """Return the bounds diagonals of frames with three or more points ``(N,)`` [m]."""
+    has_extent = is_visible.sum(axis=1) >= 3
+    if not has_extent.any():
         return np.zeros(0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)
-        lowest = np.nanmin(positions[has_several], axis=1)
-        highest = np.nanmax(positions[has_several], axis=1)
+        lowest = np.nanmin(positions[has_extent], axis=1)
+        highest = np.nanmax(positions[has_extent], axis=1)
     return np.asarray(np.linalg.norm(highest - lowest, axis=-1))
 
 
 def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield markers at equal positions in most frames (MKR205)."""
+    """Report markers at equal positions in most frames (MKR205)."""
     markers = subject.markers
     labelled_indices = [
         i for i, name in enumerate(markers.names) if not name.startswith("*")
     ]
-    count = len(labelled_indices)
-    near_counts = np.zeros((count, count), np.int64)
-    both_visible = np.zeros((count, count), np.int64)
+    marker_count = len(labelled_indices)
+    near_counts = np.zeros((marker_count, marker_count), np.int64)
+    shared_counts = np.zeros((marker_count, marker_count), np.int64)
     for block_start in range(0, len(markers), BLOCK_FRAMES):
         block = slice(block_start, block_start + BLOCK_FRAMES)
         positions = markers.positions[block, labelled_indices]
         is_visible = np.isfinite(positions[..., 0]).astype(np.int64)
-        both_visible += np.einsum("fi,fj->ij", is_visible, is_visible)
-        is_near = np.ones((len(positions), count, count), np.bool_)
+        shared_counts += np.einsum("fi,fj->ij", is_visible, is_visible)
+        is_near = np.ones((len(positions), marker_count, marker_count), np.bool_)
         with np.errstate(invalid="ignore"):
             for axis in range(3):
                 coordinates = positions[..., axis]
                 offsets = coordinates[:, :, None] - coordinates[:, None, :]
-                is_near &= np.abs(offsets) < SAME_POINT
+                is_near &= np.abs(offsets) < MAX_SAME_DISTANCE
         near_counts += is_near.sum(axis=0)
-    is_same = (near_counts > SAME_FRACTION * both_visible) & (both_visible > 0)
+    is_same = (near_counts > MIN_SAME_FRACTION * shared_counts) & (shared_counts > 0)
     pairs = np.argwhere(np.triu(is_same, 1))
     if len(pairs):
         names = [markers.names[i] for i in labelled_indices]
@@ -174,12 +174,12 @@ def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
 
 
 def invisible_markers(subject: MarkersSubject) -> Iterator[Fault]:
-    """Yield markers without any frame (MKR206)."""
+    """Report markers without any frame (MKR206)."""
     markers = subject.markers
-    counts = markers.visible.sum(axis=0).tolist()
+    visible_counts = markers.visible.sum(axis=0).tolist()
     never_visible = [
         name
-        for name, count in zip(markers.names, counts, strict=True)
+        for name, count in zip(markers.names, visible_counts, strict=True)
         if not count and not name.startswith("*")
     ]
     if never_visible:

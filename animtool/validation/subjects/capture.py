@@ -15,7 +15,7 @@ from animtool.core.rules import Kind
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.sources.open import open_source
-from animtool.validation.motion.subject import MotionSubject, faults_at
+from animtool.validation.motion.subject import MotionSubject, fault_factory_at
 from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class TakeSubject:
-    """A take and its file."""
+    """Subject of capture rules: a BVH take, with the lines of its joints."""
 
     path: Path  # the file
     take: Take  # the full take
@@ -38,12 +38,12 @@ class TakeSubject:
 
     def fault(self, code: str, joint: str, message: str, hint: str) -> Fault:
         """Return a fault of a joint, at the line that declares it."""
-        line = self._lines.get(joint)
+        line = self._line_of_joint.get(joint)
         declared_lines = () if line is None else (line,)
         return Fault(code, message, str(self.path), declared_lines, hint, where=joint)
 
     @cached_property
-    def _lines(self) -> dict[str, int]:
+    def _line_of_joint(self) -> dict[str, int]:
         """Line that declares each joint, by name; generated names have none."""
         lines: dict[str, int] = {}
         raw_file = open_input(self.path, None)
@@ -58,7 +58,7 @@ class TakeSubject:
 
 
 def open_bvh(path: Path) -> CheckedFile:
-    """Return the subject of a BVH file, with every row read."""
+    """Read a BVH file with all its rows, for BVH rules and motion rules."""
     take = open_source(path).collect()
     faults = [notice.in_file(path) for notice in take.notices]
     subject = TakeSubject(path, take)
@@ -67,25 +67,19 @@ def open_bvh(path: Path) -> CheckedFile:
 
 
 def open_livelink(path: Path) -> CheckedFile:
-    """Return the faults of a face recording."""
-    return _read_take(Kind.LIVELINK, path)[0]
+    """Read a Live Link Face recording; only its reader reports faults."""
+    return _open_with_notices(Kind.LIVELINK, path)[0]
 
 
 def open_take(path: Path) -> CheckedFile:
-    """Return a take of a format without format rules; motion rules apply."""
-    checked_file, stream, take = _read_take(Kind.TAKE, path)
-
-    def fault_at(
-        code: str, joint: str, frame: float | None, message: str, hint: str
-    ) -> Fault:
-        del frame
-        return Fault(code, message, str(path), (), hint, where=joint or None)
-
-    motion = MotionSubject(take, fault_at, has_units="units" in stream.details)
+    """Read a take in a format that has no rules of its own, for motion rules."""
+    checked_file, stream, take = _open_with_notices(Kind.TAKE, path)
+    has_units = "units" in stream.details
+    motion = MotionSubject(take, fault_factory_at(path), has_units=has_units)
     return replace(checked_file, takes=(motion,))
 
 
-def _read_take(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
+def _open_with_notices(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
     stream = open_source(path)
     take = stream.collect()
     faults = [notice.in_file(path) for notice in stream.notices]
@@ -93,12 +87,12 @@ def _read_take(kind: Kind, path: Path) -> tuple[CheckedFile, TakeStream, Take]:
 
 
 def open_urdf(path: Path) -> CheckedFile:
-    """Return the faults of a URDF file."""
+    """Read a URDF robot; only its reader reports faults."""
     return _read_robot(Kind.URDF, path)
 
 
 def open_mjcf(path: Path) -> CheckedFile:
-    """Return the faults of an MJCF file."""
+    """Read an MJCF robot; only its reader reports faults."""
     return _read_robot(Kind.MJCF, path)
 
 
@@ -108,7 +102,7 @@ def _read_robot(kind: Kind, path: Path) -> CheckedFile:
 
 
 def open_usd(path: Path) -> CheckedFile:
-    """Return the faults of a USD layer and its dependencies, and its takes."""
+    """Inspect a USD layer and its dependencies; motion rules check its takes."""
     from animtool.usd.checks import inspect_layer
 
     layer = inspect_layer(path)
@@ -118,10 +112,10 @@ def open_usd(path: Path) -> CheckedFile:
 
 
 def _layer_subject(path: Path, take: AnimationTake) -> MotionSubject:
-    """Return a take of a layer; its faults are located at its prim."""
+    """Return a layer's take for motion rules, with faults located at its prim."""
     return MotionSubject(
         take.take,
-        faults_at(path, take.path),
+        fault_factory_at(path, take.path),
         take.codes,
         take.frame_range,
         has_rest=take.has_rest,

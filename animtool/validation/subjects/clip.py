@@ -31,7 +31,7 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 @dataclass(frozen=True, eq=False)
 class ClipSubject(DocumentSubject):
-    """A clip, its rig, and its file."""
+    """Subject of clip rules: a clip on its rig, and as a sampled take."""
 
     clip: Clip  # the clip of the file
     rig: Rig  # the rig it animates
@@ -39,8 +39,8 @@ class ClipSubject(DocumentSubject):
     units: ClipUnits  # of the numbers in the file
 
     @cached_property
-    def frames(self) -> list[float]:
-        """Time code of each frame."""
+    def time_codes(self) -> list[float]:
+        """Time codes of the sampled take's frames."""
         return [float(time_code) for time_code in self.take.clock.times]
 
     def key_location(self, joint: str, frame: float) -> Location:
@@ -63,16 +63,16 @@ class ClipSubject(DocumentSubject):
         return self.fault(code, location, message, hint)
 
     @cached_property
-    def cuts(self) -> BoolArray:
+    def cut_mask(self) -> BoolArray:
         """Mask of frame intervals that contain a stepped key ``(F - 1,)``."""
-        frames = np.array(self.frames)
-        cuts = np.zeros(len(frames) - 1, bool)
+        frames = np.array(self.time_codes)
+        is_cut = np.zeros(len(frames) - 1, bool)
         for channel in self.clip.channels:
             for k, interp in enumerate(channel.interps[:-1]):
                 if interp is Interp.STEP:
                     key_frame = channel.times[k + 1]
-                    cuts |= (frames[:-1] < key_frame) & (key_frame <= frames[1:])
-        return cuts
+                    is_cut |= (frames[:-1] < key_frame) & (key_frame <= frames[1:])
+        return is_cut
 
     def previous_key(self, channel: int, frame: float) -> Location:
         """Return the last key of a channel up to a frame, else the first key."""
@@ -82,7 +82,7 @@ class ClipSubject(DocumentSubject):
 
 
 def open_clip_document(document: Document) -> CheckedFile:
-    """Return the subject of a clip file, on the rig that it names.
+    """Read a clip file and sample it on the rig that it names.
 
     Without a rig, everything that does not need one is checked, and a note says so.
     """
@@ -107,7 +107,7 @@ def open_clip_document(document: Document) -> CheckedFile:
     motion = MotionSubject(
         take,
         subject.fault_at,
-        intended_cuts=subject.cuts,
+        is_intended_cut=subject.cut_mask,
         file_format="clip",
     )
     checked_file.subject, checked_file.takes = subject, (motion,)

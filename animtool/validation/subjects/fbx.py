@@ -7,7 +7,6 @@ from pathlib import Path
 from animtool.core.errors import AnimtoolError, Fault
 from animtool.core.files.reading import record_input
 from animtool.core.rules import Kind
-from animtool.formats.characters.choice import find_characters
 from animtool.formats.fbx.rig import FbxRig, build_rig
 from animtool.formats.fbx.sampling import (
     FbxSampler,
@@ -18,23 +17,17 @@ from animtool.formats.fbx.sampling import (
 from animtool.formats.fbx.scene import FbxScene
 from animtool.formats.fbx.scene import open_fbx as open_scene
 from animtool.validation.motion.subject import MotionSubject
-from animtool.validation.subjects.gltf import clip_subject
+from animtool.validation.subjects.gltf import check_characters, clip_subject
 from animtool.validation.subjects.subject import CheckedFile
 
 
 def open_fbx(path: Path) -> CheckedFile:
-    """Return the faults of an FBX file, and the takes of its characters."""
+    """Read an FBX file; motion rules check each take of each character."""
     record_input(path)
     scene = open_scene(path)
-    faults: list[Fault] = []
-    take_subjects: list[MotionSubject] = []
-    if scene.nodes:
-        for character in find_characters(scene):
-            built_rig = build_rig(scene, character, scene.path.stem)
-            faults += built_rig.notices
-            take_subjects += _take_subjects(scene, built_rig, faults)
-    notices = [*scene.file.notes.notices, *faults]
-    return CheckedFile(Kind.FBX, notices, takes=tuple(take_subjects))
+    checked_file = check_characters(Kind.FBX, scene, build_rig, _take_subjects)
+    checked_file.faults[:0] = scene.file.notes.notices
+    return checked_file
 
 
 def _take_subjects(

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -35,26 +36,39 @@ from animtool.motion.take import Take
 from animtool.rig.kinematics import bind_matrices, rest_world
 from animtool.rig.parts import Skin
 from animtool.rig.skeleton import Rig
-from animtool.validation.motion.subject import MotionSubject, faults_at
+from animtool.validation.motion.subject import MotionSubject, fault_factory_at
 from animtool.validation.subjects.subject import CheckedFile
 
 # Keys with this spacing are samples [frame].
-MAX_SAMPLE_SPACING = 0.25
+MAX_SPACING_ERROR = 0.25
 
 
 def open_gltf(path: Path) -> CheckedFile:
-    """Return the faults of a glTF file, and the clips of its characters."""
+    """Read a glTF file; motion rules check each clip of each character."""
     record_input(path)
     gltf = open_document(path)
-    faults: list[Fault] = []
-    take_subjects: list[MotionSubject] = []
-    if gltf.nodes:
-        for character in find_characters(gltf):
-            built_rig = build_rig(gltf, character, gltf.path.stem)
-            faults += built_rig.notices
-            take_subjects += _clip_subjects(gltf, built_rig, faults)
-    faults[:0] = gltf.notes.notices
-    return CheckedFile(Kind.GLTF, faults, takes=tuple(take_subjects))
+    checked_file = check_characters(Kind.GLTF, gltf, build_rig, _clip_subjects)
+    checked_file.faults[:0] = gltf.notes.notices
+    return checked_file
+
+
+def check_characters(
+    kind: Kind,
+    file: Any,
+    build_rig: Callable[..., Any],
+    open_takes: Callable[..., list[MotionSubject]],
+) -> CheckedFile:
+    """Build the rigs of an open glTF or FBX file, and open the takes of each.
+
+    ``open_takes`` gets the file, a built rig, and the list of faults to extend.
+    """
+    checked_file = CheckedFile(kind)
+    for character in find_characters(file) if file.nodes else ():
+        built_rig = build_rig(file, character, file.path.stem)
+        checked_file.faults += built_rig.notices
+        takes = open_takes(file, built_rig, checked_file.faults)
+        checked_file.takes += tuple(takes)
+    return checked_file
 
 
 def _clip_subjects(
@@ -91,11 +105,11 @@ def _trim_to_keys(
     take, clock = subject.take, subject.take.clock
     seconds = key_times(animation)
     codes = key_times_in_frames(seconds, frames)
-    nearest_frames = np.round(codes)
-    is_near = np.abs(codes - nearest_frames) <= FRAME_TOLERANCE
-    codes = np.where(is_near, nearest_frames, codes)
+    rounded_codes = np.round(codes)
+    is_near = np.abs(codes - rounded_codes) <= FRAME_TOLERANCE
+    codes = np.where(is_near, rounded_codes, codes)
     frame_range = (float(min(clock.start, frames.start)), float(clock.times[-1]))
-    if len(codes) > 1 and abs(np.median(np.diff(codes)) - 1.0) <= MAX_SAMPLE_SPACING:
+    if len(codes) > 1 and abs(np.median(np.diff(codes)) - 1.0) <= MAX_SPACING_ERROR:
         if len(codes) == len(clock.times) and (codes == clock.times).all():
             return subject
         motion = sampler.sample(frames.seconds(codes))
@@ -107,17 +121,17 @@ def _trim_to_keys(
         motion = take.motion.select(slice(first_frame, None))
     clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
-    return replace(subject, take=take, codes=codes, frame_range=frame_range)
+    return replace(subject, take=take, time_codes=codes, frame_range=frame_range)
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
-    """Return a clip as a motion subject; faults are located at the clip."""
+    """Return a clip for motion rules, with faults located at ``where`` in the file."""
     skins = [
         mesh.skin for mesh in rig.meshes if mesh.skin and len(mesh.skin.joints) > 1
     ]
     return MotionSubject(
         replace(take, curve=None),
-        faults_at(path, where),
+        fault_factory_at(path, where),
         influencing_joints=_influencing_joints(rig, skins) if skins else None,
         bind_positions=_bind_positions(rig, skins),
     )

@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 
 def open_batch(document: Document) -> CheckedFile:
-    """Return the subject of a batch file."""
+    """Read a batch file; report inputs that match no file."""
     from animtool.batch.file import batch_of_document
     from animtool.batch.inputs import input_faults
 
@@ -62,23 +62,23 @@ def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:
         from animtool.batch.file import load_batch
 
         try:
-            values_of_scenes = scene_values(load_batch(path))
+            batch_values = scene_values(load_batch(path))
         except AnimtoolError:
             continue
-        for scene, values in values_of_scenes.items():
+        for scene, values in batch_values.items():
             values_by_scene.setdefault(scene.resolve(), values)
     return values_by_scene
 
 
 def open_map(document: Document) -> CheckedFile:
-    """Return the subject of a map file; its skeletons are unknown."""
+    """Read a retarget map; joint names are not checked, as it names no skeletons."""
     from animtool.retarget.file import parse_map_document  # loads the kernels
 
     return CheckedFile(Kind.MAP, [], parse_map_document(document))
 
 
 def open_markers(document: Document) -> CheckedFile:
-    """Return a marker template, checked against the rig that it names."""
+    """Read a marker template; check its joints if it names a rig."""
     from animtool.capture.templates.file import parse_template
 
     template = parse_template(document)
@@ -92,7 +92,7 @@ def open_markers(document: Document) -> CheckedFile:
 
 
 def open_landmarks(document: Document) -> CheckedFile:
-    """Return a landmarks file, checked against its rig if it names one."""
+    """Read a landmarks file; check meshes and vertices if it names a rig."""
     from animtool.capture.face.file import face_model, parse_landmarks
 
     file = parse_landmarks(document)
@@ -102,14 +102,14 @@ def open_landmarks(document: Document) -> CheckedFile:
 
 
 def open_remap(document: Document) -> CheckedFile:
-    """Return the subject of a remap file; its faces are unknown."""
+    """Read a remap file; shape names are not checked, as it names no faces."""
     from animtool.rig.remap import parse_remap
 
     return CheckedFile(Kind.REMAP, [], parse_remap(document))
 
 
 def open_cameras(document: Document) -> CheckedFile:
-    """Return the subject of a camera file."""
+    """Read cameras of animtool, or a calibration of another program."""
     from animtool.capture.cameras.calibrations import parse_calibration
     from animtool.capture.cameras.file import parse_cameras
 
@@ -120,18 +120,18 @@ def open_cameras(document: Document) -> CheckedFile:
     return CheckedFile(Kind.CAMERAS, list(document.notices), cameras)
 
 
-_DOCUMENTS = {kind for kind in Kind if kind in MIGRATION_STEPS}
+_DOCUMENT_KINDS = {kind for kind in Kind if kind in MIGRATION_STEPS}
 # Suffixes of the documents that are found in a folder.
 DOCUMENT_SUFFIXES = tuple(
     f".{kind}{suffix}"
-    for kind in sorted(_DOCUMENTS)
+    for kind in sorted(_DOCUMENT_KINDS)
     for suffix, reader in READERS.items()
     if reader is DOCUMENT
 )
-_KINDS_TO_SEARCH = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
+_SEARCHED_READERS = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
 INPUT_SUFFIXES = (
     # An npz, a CSV or an XML file may contain anything.
-    *(suffix for suffix, reader in READERS.items() if reader in _KINDS_TO_SEARCH),
+    *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED_READERS),
     *DOCUMENT_SUFFIXES,
 )
 _OPENERS = {
@@ -174,7 +174,7 @@ _KINDS_BY_READER = {
 
 
 def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
-    """Return the subject of a file, with every reader fault.
+    """Read a file of any kind for validation; reader errors become faults.
 
     ``values``: batch values of the variables of a scene.
     """
@@ -199,7 +199,7 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
 
 
 def open_document(document: Document, values: SceneValues | None = None) -> CheckedFile:
-    """Return the subject of a text document, like `open_file`."""
+    """Read a document of the kind that its version line states; see `open_file`."""
     kind = Kind(version_of(document, MIGRATION_STEPS)[0])
     scene_values = (values,) if kind is Kind.SCENE else ()
     checked_file = _call_opener(kind, document, *scene_values)

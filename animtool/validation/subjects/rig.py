@@ -20,12 +20,12 @@ from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 @dataclass(frozen=True, eq=False)
 class RigSubject(DocumentSubject):
-    """A rig and its file."""
+    """Subject of rig rules: a rig, and the locations of its entries in the file."""
 
     rig: Rig  # the rig of the file
 
     def file_entries(self, key: str) -> list[Any]:
-        """Return a list of the file as written; empty if it is missing."""
+        """Return the entries of a list in the file as written; [] if it is missing."""
         entries = self.document.value.get(key)
         return entries if isinstance(entries, list) else []
 
@@ -35,21 +35,21 @@ class RigSubject(DocumentSubject):
         A mirrored joint is located at its source; entries of another file are located
         where that file is named.
         """
-        pointer = self._pointers.get((key, name))
-        if pointer is not None:
-            return pointer
+        location = self._location_by_name.get((key, name))
+        if location is not None:
+            return location
         return ("from",) if "from" in self.document.value else (key,)
 
     @cached_property
-    def _pointers(self) -> dict[tuple[str, str], Location]:
+    def _location_by_name(self) -> dict[tuple[str, str], Location]:
         """Location of each list entry, mirrored ones included, by list and name."""
-        pointers: dict[tuple[str, str], Location] = {}
-        for label in ("name", "mirror"):
+        locations: dict[tuple[str, str], Location] = {}
+        for name_key in ("name", "mirror"):
             for key in self.document.value:
                 for i, entry in enumerate(self.file_entries(key)):
-                    if isinstance(entry, dict) and isinstance(entry.get(label), str):
-                        pointers.setdefault((key, entry[label]), (key, i))
-        return pointers
+                    if isinstance(entry, dict) and isinstance(entry.get(name_key), str):
+                        locations.setdefault((key, entry[name_key]), (key, i))
+        return locations
 
     @cached_property
     def mirrored(self) -> frozenset[str]:
@@ -97,7 +97,7 @@ class RigSubject(DocumentSubject):
 
 
 def open_rig(document: Document) -> CheckedFile:
-    """Return the subject of a rig file."""
+    """Read a rig file for the rules, with the notices of its reader."""
     from animtool.rig.file import parse_rig  # loads the models of a rig
 
     rig = parse_rig(document)

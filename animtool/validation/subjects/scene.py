@@ -27,14 +27,14 @@ from animtool.scene.systems.character_motion import motion_of
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are equal [m], [1].
-EQUAL_VALUES = 1e-9
+VALUE_TOLERANCE = 1e-9
 # Options of an output that a bake refuses, and the corresponding codes of the command.
 REFUSED_CODE, OPTION_CODES = "SCN207", {"CLI002", "CLI004"}
 
 
 @dataclass(frozen=True, eq=False)
 class SceneSubject(DocumentSubject):
-    """A scene with its source and the result of its passes."""
+    """Subject of scene rules: a scene, and its take after all passes."""
 
     scene: Scene  # the scene of the file
     take: Take  # its source with all passes applied
@@ -79,7 +79,7 @@ class SceneSubject(DocumentSubject):
 def open_scene(
     document: Document, batch_values: SceneValues | None = None
 ) -> CheckedFile:
-    """Return the subject of a scene file; reads its source and runs its passes.
+    """Read a scene file and its source, run its passes, and plan its bake.
 
     ``batch_values``: values of its variables from a batch.
     """
@@ -92,7 +92,7 @@ def open_scene(
         # systems.
         from animtool.scene.systems.bake import unmoved_frames_warning  # loads USD
 
-        checked_file.faults = [*scene.notices, *_bake_errors(scene, None)]
+        checked_file.faults = [*scene.notices, *_planning_faults(scene, None)]
         for output in scene.outputs:
             checked_file.faults += unmoved_frames_warning(scene, output.bake)
         return checked_file
@@ -105,13 +105,13 @@ def open_scene(
         # checked alone.
         named_files = {None, path, *checked_file.subject.targets}
         faults = [fault for fault in notices if fault.path in named_files]
-        faults += _bake_errors(scene, checked_file.subject.take)
+        faults += _planning_faults(scene, checked_file.subject.take)
     faults = [fault.in_file(path) for fault in faults]
     checked_file.faults = [*scene.notices, *faults]
     return checked_file
 
 
-def _bake_errors(scene: Scene, take: Take | None) -> list[Fault]:
+def _planning_faults(scene: Scene, take: Take | None) -> list[Fault]:
     """Return errors of planning a bake, and warnings about initial system states."""
     from animtool.scene.bake.outline import create_outline  # loads USD
     from animtool.scene.bake.plan import planning_faults
@@ -120,11 +120,11 @@ def _bake_errors(scene: Scene, take: Take | None) -> list[Fault]:
         replace(fault, code=REFUSED_CODE) if fault.code in OPTION_CODES else fault
         for fault in planning_faults(create_outline(scene, None), take)
     ]
-    return [*refused_faults, *_system_errors(scene, take)]
+    return [*refused_faults, *_system_faults(scene, take)]
 
 
-def _system_errors(scene: Scene, take: Take | None) -> list[Fault]:
-    """Return errors and warnings of initializing the systems."""
+def _system_faults(scene: Scene, take: Take | None) -> list[Fault]:
+    """Return errors and warnings of building the systems, without simulating them."""
     if not scene.systems:
         return []
     from animtool.scene.systems.run import SystemRun  # loads USD
@@ -141,7 +141,7 @@ def _system_errors(scene: Scene, take: Take | None) -> list[Fault]:
 
 
 def _simulated_seconds(scene: Scene, take: Take | None) -> float:
-    """Return the duration of the simulation [s]."""
+    """Return the duration of the take, or else of the frame range [s]; 0 if unknown."""
     if take is not None:
         return float(take.clock.duration)
     from animtool.scene.scene import DEFAULT_FPS
@@ -160,12 +160,12 @@ def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fa
         steps = scene.steps()
         take, stream = next(steps)
         for i, step in enumerate(steps):
-            result, stream = step
+            new_take, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
                 solved_takes[i] = take
-            if _is_unchanged(take, result):
+            if _is_unchanged(take, new_take):
                 idle_passes.append(i)
-            take = result
+            take = new_take
     subject = SceneSubject(
         document,
         scene,
@@ -194,4 +194,4 @@ def _is_unchanged(old_take: Take, new_take: Take) -> bool:
 def _is_same_channel(first: Channel | None, second: Channel | None) -> bool:
     if first is None or second is None:
         return first is second
-    return np.allclose(first.dense(), second.dense(), rtol=0.0, atol=EQUAL_VALUES)
+    return np.allclose(first.dense(), second.dense(), rtol=0.0, atol=VALUE_TOLERANCE)

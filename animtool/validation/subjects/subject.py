@@ -33,7 +33,7 @@ class CheckedFile:
 
 @dataclass(frozen=True, eq=False)
 class DocumentSubject:
-    """Content of a document, with locations."""
+    """Base of subjects that are read from a document; locates faults in it."""
 
     document: Document  # the file
 

@@ -50,11 +50,16 @@ def with_position(camera: Camera) -> Camera:
 @pytest.mark.parametrize(
     ("write", "convention"),
     [
-        (w_last, Convention(w_last=True)),
-        (in_world, Convention(transposed=True, position=True)),
-        (blender, Convention(transposed=True, position=True, opengl=True)),
-        (opengl, Convention(opengl=True)),
-        (with_position, Convention(position=True)),
+        (w_last, Convention(is_w_last=True)),
+        (in_world, Convention(is_transposed=True, is_camera_position=True)),
+        (
+            blender,
+            Convention(
+                is_transposed=True, is_camera_position=True, has_opengl_axes=True
+            ),
+        ),
+        (opengl, Convention(has_opengl_axes=True)),
+        (with_position, Convention(is_camera_position=True)),
     ],
 )
 def test_other_conventions_are_refused_and_named(
@@ -65,11 +70,11 @@ def test_other_conventions_are_refused_and_named(
         triangulate(observed(STAGE, POINTS), written)
     (fault,) = refused.value.faults
     assert fault.code == "CAM014"
-    description, remedy = convention.texts
+    description, remedy = convention.description_and_remedy
     assert fault.message.endswith(f" px if {description}")
     assert fault.hint is not None
     assert fault.hint.startswith(remedy)
-    found = [convention.camera(camera) for camera in written.cameras]
+    found = [convention.convert(camera) for camera in written.cameras]
     for one, camera in zip(found, STAGE.cameras, strict=True):
         np.testing.assert_allclose(one.rotation, camera.rotation, atol=1e-9)
         np.testing.assert_allclose(one.translation, camera.translation, atol=1e-9)
@@ -90,6 +95,7 @@ def test_moved_cameras_are_not_in_another_convention() -> None:
 
 def test_all_combinations_are_tried_the_simplest_first() -> None:
     assert len(set(CONVENTIONS)) == 15
-    assert [sum((c.w_last, c.transposed, c.position, c.opengl)) for c in CONVENTIONS][
-        :4
-    ] == [1] * 4
+    assert [
+        sum((c.is_w_last, c.is_transposed, c.is_camera_position, c.has_opengl_axes))
+        for c in CONVENTIONS
+    ][:4] == [1] * 4

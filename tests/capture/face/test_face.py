@@ -97,7 +97,7 @@ def test_the_same_bytes_whatever_is_read_at_a_time(
     again = fit_face(model, seen.copy(), 60)
     assert_array_equal(again.weights, whole.weights)
     # Where a window ends does not show: a change is felt for less than the overlap.
-    monkeypatch.setattr(solving, "WINDOW", 40)
+    monkeypatch.setattr(solving, "WINDOW_FRAMES", 40)
     cut = fit_face(model, seen, 60)
     assert np.abs(cut.weights - whole.weights).max() < 1e-3
 
@@ -450,8 +450,8 @@ def test_every_frame_is_that_of_one_window_with_frames_on_either_side(
         weights = numbers * np.ones((1, SHAPES))
         return weights, poses, numbers * blank, numbers * blank, 3, 0.1
 
-    monkeypatch.setattr(solving, "WINDOW", 40)
-    monkeypatch.setattr(solving._Fit, "_solve_window", window)
+    monkeypatch.setattr(solving, "WINDOW_FRAMES", 40)
+    monkeypatch.setattr(solving._FaceSolver, "_solve_window", window)
     fit = fit_face(model, placed(model.points(made_weights(90))), 60)
     assert spans == [(0, 72), (8, 90), (48, 90)]
     for found in (fit.weights, fit.translations, fit.residuals, fit.shares):

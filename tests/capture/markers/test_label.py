@@ -15,10 +15,10 @@ from support.suite import is_full
 from animtool.capture.markers.geometry import MarkerDistances
 from animtool.capture.markers.label import (
     MAX_RIGID_SPREAD,
-    PARTNERS,
-    _base_frames,
-    _exchange_parts,
-    _matching_markers,
+    SEED_PARTNERS,
+    _exchange_where_better,
+    _find_first_span,
+    _match_markers,
     _merge_seeds,
     _rigid_groups,
     _shape_error,
@@ -134,7 +134,7 @@ def test_exchanged_twins_are_put_right() -> None:
 
 def test_groups_of_four_are_of_the_most_rigid_company() -> None:
     """In a row each goes with the seven nearest, of equals the first."""
-    count = PARTNERS + 2
+    count = SEED_PARTNERS + 2
     spread = 1e-4 * np.abs(np.arange(count)[:, None] - np.arange(count)) * 1.0
     spread[3, 5] = spread[5, 3] = MAX_RIGID_SPREAD
     spread[6, 7] = spread[7, 6] = np.nan
@@ -142,8 +142,8 @@ def test_groups_of_four_are_of_the_most_rigid_company() -> None:
     worst = [max(spread[a, b] for a in g for b in g) for g in map(list, found)]
     assert worst == sorted(worst)
     assert found[0] == (0, 1, 2, 3)  # the worst 3e-4, as of others that come later
-    assert (0, 1, 2, PARTNERS) in found
-    assert (0, 1, 2, PARTNERS + 1) not in found
+    assert (0, 1, 2, SEED_PARTNERS) in found
+    assert (0, 1, 2, SEED_PARTNERS + 1) not in found
     assert not any({3, 5} <= set(group) or {6, 7} <= set(group) for group in found)
 
 
@@ -154,9 +154,9 @@ def test_groups_are_matched_by_all_their_distances() -> None:
     rest = np.linalg.norm(shape[:, None] - shape, axis=-1)
     order = [3, 0, 4, 1, 2]  # the marker of each run
     apart = rest[np.ix_(order, order)]
-    assert _matching_markers((0, 1, 3, 4), apart, rest, 1e-6) == [(3, 0, 1, 2)]
-    assert _matching_markers((2, 4), apart, rest, 1e-6) == [(2, 4), (4, 2)]
-    assert _matching_markers((0, 1, 3, 4), 1.1 * apart, rest, 1e-6) == []
+    assert _match_markers((0, 1, 3, 4), apart, rest, 1e-6) == [(3, 0, 1, 2)]
+    assert _match_markers((2, 4), apart, rest, 1e-6) == [(2, 4), (4, 2)]
+    assert _match_markers((0, 1, 3, 4), 1.1 * apart, rest, 1e-6) == []
 
 
 def test_a_shape_is_off_by_the_median_of_what_frames_leave() -> None:
@@ -189,17 +189,21 @@ def test_the_ten_seconds_with_most_of_longer_runs_are_named_first() -> None:
     tracklets = Tracklets(np.zeros((300, 1), int), first, last)
     # From 0 on 55 + 50, from 25 on 75 (30 of the first), from 50 on 100, 75 to 174:
     # 100 + 55, from 100 on 81 + 100, from 125 on 56 + 95.
-    window, runs = _base_frames(tracklets, 300, 10.0)
+    window, runs = _find_first_span(tracklets, 300, 10.0)
     assert (window, runs.tolist()) == (slice(100, 200), [1, 2, 4])
-    short, runs = _base_frames(tracklets, 20, 10.0)
+    short, runs = _find_first_span(tracklets, 20, 10.0)
     assert (short, runs.tolist()) == (slice(0, 20), [0])
     # Of 40 frames 31 of a run count, and two of 30 do not; one of 30 is named too.
     first, last = np.array([0, 20, 20, 0]), np.array([30, 49, 49, 29])
-    window, runs = _base_frames(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
+    window, runs = _find_first_span(
+        Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0
+    )
     assert (window, runs.tolist()) == (slice(0, 40), [0, 3])
     # The last frame of a window counts: 31 to the end of the first, before 31 later.
     first, last = np.array([9, 21]), np.array([39, 51])
-    window, runs = _base_frames(Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0)
+    window, runs = _find_first_span(
+        Tracklets(np.zeros((60, 1), int), first, last), 60, 4.0
+    )
     assert (window, runs.tolist()) == (slice(0, 40), [0])
 
 
@@ -221,15 +225,15 @@ def test_names_are_exchanged_in_parts(
         return said[len(seen) - 1]
 
     monkeypatch.setattr("animtool.capture.markers.label.is_exchanged", exchanged)
-    _exchange_parts(work, np.zeros((3, 3)), (0, 2))
+    _exchange_where_better(work, np.zeros((3, 3)), (0, 2))
     assert seen == [(4, 0.0, (0, 2)), (3, 45.0, (0, 2))]
     swapped = [[0, 2], [2, 0]]
     wanted = [*swapped[said[0]], *swapped[said[1]], 1]
-    assert work.names_of.tolist() == wanted
+    assert work.run_markers.tolist() == wanted
     # A single part has nothing to be exchanged with.
     alone = Tracklets(ids, np.array([0, 0, 3, 5, 0]), np.array([3, 3, 7, 7, 7]))
     work = TrackletLabels(
         work.positions, alone, 10.0, np.array([0, 2, 0, 2, 1]), np.zeros((3, 3))
     )
-    _exchange_parts(work, np.zeros((3, 3)), (0, 2))
+    _exchange_where_better(work, np.zeros((3, 3)), (0, 2))
     assert len(seen) == 2

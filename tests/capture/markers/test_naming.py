@@ -25,18 +25,18 @@ ORDER = [4, 0, 6, 2, 1, 5, 3]
 
 def test_points_of_a_rigid_shape_get_the_names_of_those_about_them() -> None:
     own = naming(ORDER)
-    assert (own.names_of == -1).all()
+    assert (own.point_markers == -1).all()
     for point in (0, 1, 2):
         own.assign(point, ORDER[point])
     own.assign_greedily()
-    assert own.names_of.tolist() == ORDER
+    assert own.point_markers.tolist() == ORDER
     other = own.copy()
     other.assign(0, -1)
-    assert own.names_of.tolist() == ORDER
-    assert other.names_of.tolist() == [-1, *ORDER[1:]]
+    assert own.point_markers.tolist() == ORDER
+    assert other.point_markers.tolist() == [-1, *ORDER[1:]]
     assert other.total_evidence() < own.total_evidence()
     other.assign_greedily()
-    assert other.names_of.tolist() == ORDER
+    assert other.point_markers.tolist() == ORDER
     assert own.total_evidence() == pytest.approx(other.total_evidence(), rel=1e-5)
 
 
@@ -49,7 +49,7 @@ def test_names_that_are_exchanged_are_put_right(a: int, b: int) -> None:
         own.assign(point, marker)
     before = own.total_evidence()
     own.improve()
-    assert own.names_of.tolist() == ORDER
+    assert own.point_markers.tolist() == ORDER
     assert own.total_evidence() > before + 1
 
 
@@ -59,21 +59,21 @@ def test_two_pairs_and_three_are_exchanged_at_once() -> None:
         for point, marker in enumerate(ORDER):
             own.assign(point, change.get(marker, marker))
         own.improve()
-        assert own.names_of.tolist() == ORDER
+        assert own.point_markers.tolist() == ORDER
 
 
 def test_names_in_doubt_and_markers_that_lack_points() -> None:
     own = naming(ORDER)
     for point, marker in enumerate(ORDER):
         own.assign(point, marker)
-    assert own.most_doubtful(set()) is None
+    assert own.most_doubtful_point(set()) is None
     assert not len(own.scarce_markers())
     wrong = naming(ORDER)
     for point, marker in enumerate([0, 4, *ORDER[2:]]):
         wrong.assign(point, marker)
-    found = wrong.most_doubtful(set())
+    found = wrong.most_doubtful_point(set())
     assert found in {(0, 4), (1, 0)}
-    assert wrong.most_doubtful({(0, 4), (1, 0)}) not in {(0, 4), (1, 0)}
+    assert wrong.most_doubtful_point({(0, 4), (1, 0)}) not in {(0, 4), (1, 0)}
     own.assign(3, -1)
     assert own.scarce_markers().tolist() == [2]
 
@@ -88,9 +88,9 @@ def test_who_gets_a_name_takes_it_from_those_who_are_seen_with_him() -> None:
                 point, {ORDER[0]: ORDER[3], ORDER[3]: ORDER[0]}.get(marker, marker)
             )
         own.force_name(0, ORDER[0], around)
-        assert own.names_of.tolist() == ORDER
+        assert own.point_markers.tolist() == ORDER
     apart = naming(ORDER)
     apart.are_concurrent = np.zeros_like(apart.are_concurrent)
     apart.assign(3, 4)
     apart.force_name(0, 4, nowhere)
-    assert (apart.names_of[0], apart.names_of[3]) == (4, 4)
+    assert (apart.point_markers[0], apart.point_markers[3]) == (4, 4)

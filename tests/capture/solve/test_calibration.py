@@ -19,10 +19,10 @@ from animtool.capture.solve.calibration import (
     OVERALL_DEVIATION,
     SIDE_DEVIATION,
     _CalibrationState,
+    rig_without_limits,
     scale_rig_bones,
-    unlimited_rig,
 )
-from animtool.capture.solve.model import marker_model
+from animtool.capture.solve.model import build_marker_problem
 from animtool.capture.templates import MarkerTemplate
 from animtool.core.errors import OptionError
 from animtool.rig.parts import Mesh
@@ -122,7 +122,7 @@ def unsettled(**fixed: bool) -> _CalibrationState:
 def test_bones_are_likely_about_a_size_of_their_own_and_sides_alike() -> None:
     """Covariance of bones without sides: 0.07^2, and 0.25^2 that all of them share."""
     work = unsettled(LWRA=True)
-    bones, size = len(work.bones), len(work.bones) + work.offsets.size
+    bones, size = len(work.bone_joints), len(work.bone_joints) + work.offsets.size
     assert (bones, work._side_pairs()) == (5, [(1, 3), (2, 4)])
     work.scales = np.array([1.1, 0.9, 1.2, 1.0, 1.2])
     work.offsets = 1.05 * work.initial_offsets
@@ -173,8 +173,8 @@ def test_what_noise_hides_of_bones_is_not_sure() -> None:
 def test_pins_have_no_limits_where_markers_tell_their_angle() -> None:
     generic = template("body41")
     rig, markers = rig_of(generic, "generic"), template_of(generic)
-    model = marker_model(rig, markers, np.arange(len(markers.markers)))
-    free = unlimited_rig(model)
+    model = build_marker_problem(rig, markers, np.arange(len(markers.markers)))
+    free = rig_without_limits(model)
     freed = {
         given.name
         for given, joint in zip(model.rig.joints, free.joints, strict=True)

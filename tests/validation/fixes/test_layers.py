@@ -27,7 +27,7 @@ from support.suite import some_quick
 from animtool.core.errors import FormatError, OptionError
 from animtool.report.compare import compare
 from animtool.usd.fixes.table import EDITS_BY_CODE
-from animtool.validation.fixes.plan import with_fixable
+from animtool.validation.fixes.plan import mark_fixable
 from animtool.validation.fixes.run import fix_copy, fix_files
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import validate, validate_files
@@ -468,7 +468,7 @@ def test_a_package_is_no_layer_to_fix(tmp_path: Path) -> None:
     fixes = fix_files([package], overwrite=True)
     assert "unpack it" in fixes.notes[0]
     assert package.read_bytes() == before
-    assert with_fixable(validate_files([package])).fixable == frozenset()
+    assert mark_fixable(validate_files([package])).fixable == frozenset()
 
 
 @pytest.mark.parametrize(

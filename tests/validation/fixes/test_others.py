@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from animtool.validation.fixes.names import files_naming
+from animtool.validation.fixes.names import files_using_names
 
 RIG = "rig: animtool/1\nname: hero\njoints: [{name: a.l, type: free}]\n"
 SIDECAR = "rig: animtool/1\nname: side\nfrom: hero.rig.yaml\n"
@@ -44,7 +44,9 @@ def test_files_that_may_mean_it(
     path = tmp_path / name
     path.parent.mkdir(exist_ok=True)
     path.write_text(text, "utf-8")
-    assert list(files_naming(rig, ["b.l", "a.l"])) == ([(path, "a.l")] if may else [])
+    assert list(files_using_names(rig, ["b.l", "a.l"])) == (
+        [(path, "a.l")] if may else []
+    )
 
 
 @pytest.mark.parametrize(
@@ -64,7 +66,7 @@ def test_a_name_within_other_words_is_not_used(
     rig.write_text(RIG, "utf-8")
     path = tmp_path / "a.clip.yaml"
     path.write_text(text, "utf-8")
-    assert list(files_naming(rig, ["a b"])) == ([(path, "a b")] if uses else [])
+    assert list(files_using_names(rig, ["a b"])) == ([(path, "a b")] if uses else [])
 
 
 def test_all_of_a_project_is_looked_at(tmp_path: Path) -> None:
@@ -74,6 +76,6 @@ def test_all_of_a_project_is_looked_at(tmp_path: Path) -> None:
     clip = tmp_path / "shots/a.clip.yaml"
     clip.parent.mkdir()
     clip.write_text("clip: animtool/1\nx: a.l\n", "utf-8")
-    assert list(files_naming(rig, ["a.l"])) == []
+    assert list(files_using_names(rig, ["a.l"])) == []
     (tmp_path / "animtool.toml").touch()
-    assert list(files_naming(rig, ["a.l"])) == [(clip, "a.l")]
+    assert list(files_using_names(rig, ["a.l"])) == [(clip, "a.l")]

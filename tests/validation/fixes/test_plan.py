@@ -13,8 +13,8 @@ from support.suite import examples
 from animtool.core.errors import Fault
 from animtool.core.rules import builtin_rules
 from animtool.documents.document import document_of
-from animtool.validation.fixes.draft import FIXES, fix_of
-from animtool.validation.fixes.plan import plan_file, with_fixable
+from animtool.validation.fixes.draft import FIXES, load_fix
+from animtool.validation.fixes.plan import mark_fixable, plan_fixes
 from animtool.validation.fixes.run import fix_files
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import validate, validate_files
@@ -29,7 +29,7 @@ IGNORES = (
 @pytest.mark.parametrize("code", FIXES)
 def test_a_fix_is_there_and_of_a_code(code: str) -> None:
     assert code in builtin_rules()
-    assert callable(fix_of(code))
+    assert callable(load_fix(code))
 
 
 NAMES = st.sampled_from(["a", "a.l", "a-l", "a l", "a_l", "a_l_2", "1", "_1", "b", "é"])
@@ -65,7 +65,7 @@ def test_twice_is_as_once(text: str, tmp_path: Path) -> None:
     path = tmp_path / "page.rig.yaml"
     path.write_text(text, "utf-8", newline="")
     before = [fault.code for fault in validate(path)]
-    fixable = with_fixable(validate_files([path])).fixable
+    fixable = mark_fixable(validate_files([path])).fixable
     fixes = fix_files([path])
     once = path.read_bytes()
     left = [fault.code for fault in validate(path)]
@@ -81,7 +81,7 @@ def test_twice_is_as_once(text: str, tmp_path: Path) -> None:
 
 def test_a_file_without_findings_is_not_touched(root: Path) -> None:
     for path in sorted((root / "rigs").glob("*/*.rig.yaml")):
-        plan = plan_file(path, ValidateOptions())
+        plan = plan_fixes(path, ValidateOptions())
         assert plan.draft.text == path.read_text("utf-8")
         assert not plan.fixed_findings
 
@@ -131,7 +131,7 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     path = tmp_path / "page.rig.yaml"
     text = 'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: free}]\n'
     path.write_text(text, "utf-8")
-    monkeypatch.setattr("animtool.validation.fixes.texts.fix_of", lambda _: wrong)
+    monkeypatch.setattr("animtool.validation.fixes.texts.load_fix", lambda _: wrong)
     fixes = fix_files([path])
     assert not fixes.report.mended
     assert [why for _, why in fixes.unfixed_findings] == ["the fix would cause DOC022"]
@@ -146,11 +146,11 @@ def test_what_is_fixable_is_marked(tmp_path: Path) -> None:
         'rig: animtool/1\nname: page\njoints: [{name: "a.l", type: pin, '
         "axis: [1, 0, 0], limits: [2, 3]}]\n"
     )
-    report = with_fixable(validate_files([path]))
+    report = mark_fixable(validate_files([path]))
     assert _codes(report.findings) == ["RIG201", "RIG221"]
     assert _codes(tuple(report.fixable)) == ["RIG221"]
     (tmp_path / "x.clip.yaml").write_text("a.l")
-    assert not with_fixable(validate_files([path])).fixable
+    assert not mark_fixable(validate_files([path])).fixable
 
 
 def _codes(faults: Sequence[Fault]) -> list[str]:
@@ -166,6 +166,6 @@ def test_names_of_a_bvh_are_found_and_not_fixed(tmp_path: Path) -> None:
         "End Site\n{\nOFFSET 0 1 0\n}\n}\n}\n"
         "MOTION\nFrames: 2\nFrame Time: 0.041666667\n0 0 0 0 0 0\n1 0 0 2 0 0\n"
     )
-    report = with_fixable(validate_files([path]))
+    report = mark_fixable(validate_files([path]))
     assert "RIG219" in [fault.code for fault in report.findings]
     assert not report.fixable

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from support.example_rig import write_example_rig
 
 from animtool.rig.file import load_rig
-from animtool.validation.fixes.plan import plan_file
+from animtool.validation.fixes.plan import plan_fixes
 from animtool.validation.fixes.run import fix_files
 from animtool.validation.options import ValidateOptions
 from animtool.validation.run import validate
@@ -65,7 +65,7 @@ def test_no_file_is_written_over(loose: Path) -> None:
 
 def test_a_plan_writes_nothing(loose: Path) -> None:
     before = sorted(path.name for path in loose.parent.iterdir())
-    plan = plan_file(loose, ValidateOptions())
+    plan = plan_fixes(loose, ValidateOptions())
     assert [path.name for path in plan.draft.arrays] == ["body_weights.npz"]
     assert "+" in plan.draft.diff_text()
     assert sorted(path.name for path in loose.parent.iterdir()) == before

@@ -98,7 +98,7 @@ def test_findings_that_repeat_one_of_their_file_are_counted(report: Report) -> N
     assert sum("USD206" in line for line in lines) == 2
     assert f"{alike[0]} (3 more like it)" in lines
     assert sum("RIG201" in line for line in lines) == 3
-    whole = format_report(found, "text", repeats=True).splitlines()
+    whole = format_report(found, "text", shows_repeats=True).splitlines()
     assert sum("USD206" in line for line in whole) == 5
 
 

@@ -10,7 +10,7 @@ from support.planted_takes import drift, travel
 from animtool.core.errors import Fault
 from animtool.motion.take import Take
 from animtool.scene.sources.open import open_source
-from animtool.validation.motion.contacts import contacts_of
+from animtool.validation.motion.contacts import find_contacts
 from animtool.validation.motion.feet import foot_slide, travel_scale
 from animtool.validation.motion.subject import MotionSubject
 
@@ -32,7 +32,7 @@ def walking(walk: Path) -> Take:
 
 def scale_of(take: Take) -> float | None:
     seen = subject(take)
-    contacts = contacts_of(seen)
+    contacts = find_contacts(seen)
     assert contacts is not None
     return travel_scale(seen, contacts)
 
