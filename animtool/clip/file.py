@@ -29,8 +29,8 @@ from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME, MAX_NUMBER
 from animtool.documents.references import (
-    missing_hint,
     resolve_reference,
+    similar_file_hint,
     split_reference,
 )
 from animtool.rig.joints import split_part
@@ -109,7 +109,7 @@ def _load_keys(
     path = resolve_reference(document, location, name, project_roots(document.path))
     reason = None if path is None else not_a_file_reason(path)
     if reason is not None:
-        hint = missing_hint(document, name)
+        hint = similar_file_hint(document, name)
         document.add("DOC015", location, f"{name!r} {reason}", hint)
     if path is None or reason is not None:
         return []
@@ -149,7 +149,7 @@ def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
 def _raise_missing_rig(file: ClipFile) -> NoReturn:
     """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
-    suggestion = missing_hint(file.document, file.model.rig or "")
+    suggestion = similar_file_hint(file.document, file.model.rig or "")
     other_rig_text = f"pass another rig with {argument('source.rig')}"
     hint = clause(other_rig_text)
     if suggestion:

@@ -68,9 +68,12 @@ def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
         raise OptionError(Fault("SCN015", f"{message}, not {rows!r:.80}"))
     if not np.isfinite(table).all():
         raise OptionError(Fault("SCN015", f"{name} holds a number that is not finite"))
-    not_ascending = np.flatnonzero(np.diff(table[:, 0]) <= 0)
-    if len(not_ascending):
-        time, next_time = table[not_ascending[0], 0], table[not_ascending[0] + 1, 0]
+    unordered_entries = np.flatnonzero(np.diff(table[:, 0]) <= 0)
+    if len(unordered_entries):
+        time, next_time = (
+            table[unordered_entries[0], 0],
+            table[unordered_entries[0] + 1, 0],
+        )
         message = f"times of {name} must ascend, and {next_time:g} follows {time:g}"
         raise OptionError(Fault("SCN015", message))
     return table[:, 0], table[:, 1]

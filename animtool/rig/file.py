@@ -55,7 +55,7 @@ def read_bind(
     for name, model in models.items():
         if name not in joints:
             message = f"unknown joint {name!r}"
-            if not file_joints.has_unnamed:
+            if not file_joints.has_unknown_name:
                 hint = name_hint(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
@@ -141,7 +141,9 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
             else _overlay_joints(document, model, base_rig, units)
         )
     inherited = Rig("", ()) if base_rig is None else base_rig
-    if not (joints.joints or joints.has_unnamed or model.shapes or inherited.shapes):
+    if not (
+        joints.joints or joints.has_unknown_name or model.shapes or inherited.shapes
+    ):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
     with Archives() as archives:
@@ -183,11 +185,13 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         has_animated_parents=inherited.has_animated_parents,
     )
     if rig.is_driven:
-        has_unnamed = {
-            "joints": joints.has_unnamed or bool(joints.orphaned_joints),
-            "controls": bool(document.has_unnamed("controls")),
+        has_unknown_name = {
+            "joints": joints.has_unknown_name or bool(joints.orphaned_joints),
+            "controls": bool(document.has_unknown_name("controls")),
         }
-        DriverCheck(document, model, rig, has_unnamed, joints.untyped_joints).check()
+        DriverCheck(
+            document, model, rig, has_unknown_name, joints.untyped_joints
+        ).check()
     document.check()
     notice_count = len(document.notices)
     warn_of_shape(document, rig)
@@ -307,5 +311,5 @@ def _overlay_joints(
         joints.append(overlaid_joint)
     untyped = frozenset(names.get(name, name) for name in sidecar.untyped_joints)
     return FileJoints(
-        tuple(joints), untyped_joints=untyped, has_unnamed=sidecar.has_unnamed
+        tuple(joints), untyped_joints=untyped, has_unknown_name=sidecar.has_unknown_name
     )
