@@ -19,10 +19,10 @@ from typing import Any, ClassVar
 from animtool.batch.discover import Batch
 from animtool.batch.records import (
     RecordError,
-    json_of_file,
+    checked_object,
     list_in,
     number_in,
-    object_of,
+    read_json,
     text_in,
 )
 from animtool.batch.work import ItemStatus
@@ -30,15 +30,16 @@ from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.commit import output_error
 from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
+from animtool.core.names import DOCUMENT_FILE_SUFFIXES
 from animtool.core.record import dataclass
 from animtool.documents.yaml_text import yaml_text
 
 # Default duration of a task [s]. Starting a process for a chunk and checking the batch
 # takes about a hundredth of it.
-TASK_SECONDS = 120.0
+DEFAULT_TASK_SECONDS = 120.0
 # Items per chunk if their duration is unknown: captures take about 0.1 s, long ones a
 # second.
-DEFAULT_CHUNK = 100
+DEFAULT_CHUNK_SIZE = 100
 # Time between the farm's request to end a task and its kill [s].
 NOTICE_SECONDS = 30
 TEMPLATE_FILE, VALUES_FILE = "template.yaml", "parameter_values.yaml"
@@ -46,7 +47,7 @@ MAX_NAME_LENGTH = 128
 # Maximum size of a report, enough for 100,000 items [bytes].
 MAX_REPORT_BYTES = 64_000_000
 # Upper limit of the mean time of an item [s].
-MAX_SECONDS = 1e9
+MAX_ITEM_SECONDS = 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +64,7 @@ class Bundle:
     """An Open Job Description bundle that is not written yet."""
 
     template: Mapping[str, Any]  # template of the job
-    values: Mapping[str, str]  # values of parameters without a default
+    parameter_values: Mapping[str, str]  # values of parameters without a default
     item_count: int
     chunk_size: int  # number of items per task
 
@@ -75,7 +76,7 @@ class Bundle:
 
 @dataclass(frozen=True, slots=True)
 class WrittenBundle:
-    """A written bundle."""
+    """A bundle on disk, with the command that runs it."""
 
     folder: Path
     files: list[Path]  # the template first
@@ -90,18 +91,18 @@ class WrittenBundle:
         """Command that runs the bundle locally."""
         command = ["openjd", "run", str(self.files[0]), "--step", "Settle"]
         command.append("--run-dependencies")
-        for name, value in self.bundle.values.items():
+        for name, value in self.bundle.parameter_values.items():
             command += ["-p", f"{name}={value}"]
         return command
 
 
-def mean_seconds(path: Path) -> float:
+def mean_item_seconds(path: Path) -> float:
     """Return the mean build time of an item from a batch's JSON report [s]."""
     try:
-        item_records = list_in(json_of_file(path, MAX_REPORT_BYTES), "items")
+        item_records = list_in(read_json(path, MAX_REPORT_BYTES), "items")
         item_seconds = [
             number_in(item, "seconds")
-            for item in map(object_of, item_records)
+            for item in map(checked_object, item_records)
             if text_in(item, "status") == ItemStatus.DONE
         ]
     except RecordError as error:
@@ -113,11 +114,13 @@ def mean_seconds(path: Path) -> float:
         hint = f"{argument('force', True)} also rebuilds what is up to date"
         fault = Fault("BAT037", "reports no item that was built", str(path), (), hint)
         raise FormatError(fault)
-    return min(sum(item_seconds) / len(item_seconds), MAX_SECONDS)
+    return min(sum(item_seconds) / len(item_seconds), MAX_ITEM_SECONDS)
 
 
 def chunk_size(
-    item_count: int, seconds: float | None = None, task_seconds: float = TASK_SECONDS
+    item_count: int,
+    seconds: float | None = None,
+    task_seconds: float = DEFAULT_TASK_SECONDS,
 ) -> int:
     """Return the number of items per task, given the seconds per item and per task.
 
@@ -125,19 +128,21 @@ def chunk_size(
     (240, 100, 10)
     """
     if seconds is None:
-        return min(DEFAULT_CHUNK, item_count)
+        return min(DEFAULT_CHUNK_SIZE, item_count)
     return max(1, min(item_count, round(task_seconds / max(seconds, 1e-6))))
 
 
-def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: CutArguments) -> Bundle:
+def batch_bundle(
+    batch: Batch, path: Path, chunk_items: int, cuts: CutArguments
+) -> Bundle:
     """Return the bundle of a batch, with the shot options of the command line."""
-    cut_words = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
-    cut_words += cuts.shot_arguments
+    cut_arguments = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
+    cut_arguments += cuts.shot_arguments
     name = re.sub(r"[{}\x00-\x1f\x7f]", "_", f"animtool {batch.name}")
     template = {
         "specificationVersion": "jobtemplate-2023-09",
         "name": name[:MAX_NAME_LENGTH],
-        "parameterDefinitions": _parameters(batch, chunk, cuts),
+        "parameterDefinitions": _parameters(batch, chunk_items, cuts),
         "steps": [
             {
                 "name": "Bake",
@@ -151,45 +156,59 @@ def batch_bundle(batch: Batch, path: Path, chunk: int, cuts: CutArguments) -> Bu
                     ]
                 },
                 "script": _script(
-                    "--items", "{{Task.Param.First}}+{{Param.ChunkSize}}", *cut_words
+                    "--items",
+                    "{{Task.Param.First}}+{{Param.ChunkSize}}",
+                    *cut_arguments,
                 ),
             },
             {
                 "name": "Settle",
                 "dependencies": [{"dependsOn": "Bake"}],
-                "script": _script(*cut_words),
+                "script": _script(*cut_arguments),
             },
         ],
     }
-    values = {"BatchFile": str(path.absolute())}
+    parameter_values = {"BatchFile": str(path.absolute())}
     if cuts.path is not None:
-        values["CutList"] = str(cuts.path.absolute())
-    return Bundle(template, values, len(batch.items), chunk)
+        parameter_values["CutList"] = str(cuts.path.absolute())
+    return Bundle(template, parameter_values, len(batch.items), chunk_items)
 
 
-def _parameters(batch: Batch, chunk: int, cuts: CutArguments) -> list[dict[str, Any]]:
-    """Return the definitions of the parameters of a job."""
-    file = {"type": "PATH", "objectType": "FILE", "dataFlow": "IN"}
-    number: dict[str, Any] = {"type": "INT", "minValue": 1}
-    text = {"type": "STRING"}
-    count, jobs = len(batch.items), str(batch.jobs or "auto")
+def _parameters(
+    batch: Batch, chunk_items: int, cuts: CutArguments
+) -> list[dict[str, Any]]:
+    """Return the definitions of a job's parameters, with their default values."""
+    file_type = {"type": "PATH", "objectType": "FILE", "dataFlow": "IN"}
+    integer_type: dict[str, Any] = {"type": "INT", "minValue": 1}
+    text_type = {"type": "STRING"}
+    item_count, default_jobs = len(batch.items), str(batch.jobs or "auto")
     definitions: list[tuple[str, dict[str, Any], str]] = [
-        ("BatchFile", file, "The batch file; its relative paths start there."),
-        ("Items", number | {"default": count}, "How many items the batch has."),
-        ("ChunkSize", number | {"default": chunk}, "How many items a task builds."),
+        ("BatchFile", file_type, "The batch file; its relative paths start there."),
+        (
+            "Items",
+            integer_type | {"default": item_count},
+            "How many items the batch has.",
+        ),
+        (
+            "ChunkSize",
+            integer_type | {"default": chunk_items},
+            "How many items a task builds.",
+        ),
         (
             "Jobs",
-            text | {"default": jobs},
+            text_type | {"default": default_jobs},
             "Processes per task, or auto: one per processor.",
         ),
         (
             "Command",
-            text | {"default": "animtool"},
+            text_type | {"default": "animtool"},
             "Command that starts animtool on the workers.",
         ),
     ]
     if cuts.path is not None:
-        definitions.append(("CutList", file, "The timeline whose clips are the items."))
+        definitions.append(
+            ("CutList", file_type, "The timeline whose clips are the items.")
+        )
     return [
         {"name": name, **properties, "description": description}
         for name, properties, description in definitions
@@ -197,7 +216,7 @@ def _parameters(batch: Batch, chunk: int, cuts: CutArguments) -> list[dict[str, 
 
 
 def _script(*selection: str) -> dict[str, Any]:
-    """Return the script of a step; ``selection`` chooses its items."""
+    """Return the script of a step; ``selection`` holds flags that choose its items."""
     arguments = ["batch", "{{Param.BatchFile}}", *selection, "-j", "{{Param.Jobs}}"]
     arguments += ["--lines", "openjd"]
     arguments += ["--path-mapping", "{{Session.PathMappingRulesFile}}"]
@@ -213,11 +232,14 @@ def write_bundle(
     bundle: Bundle, folder: Path, *, overwrite: bool = False
 ) -> WrittenBundle:
     """Write a bundle; refuse files that exist (OUT001) or a file as folder (OUT004)."""
-    if folder.suffix.lower() in {".yaml", ".yml", ".json"} and not folder.is_dir():
+    if folder.suffix.lower() in DOCUMENT_FILE_SUFFIXES and not folder.is_dir():
         message = f"a bundle is a folder, not a {folder.suffix} file"
         hint = f"for example {folder.with_suffix('.job')}"
         raise OptionError(Fault("OUT004", message, str(folder), (), hint))
-    values = [{"name": name, "value": value} for name, value in bundle.values.items()]
+    values = [
+        {"name": name, "value": value}
+        for name, value in bundle.parameter_values.items()
+    ]
     texts = {
         folder / TEMPLATE_FILE: yaml_text(dict(bundle.template)),
         folder / VALUES_FILE: yaml_text({"parameterValues": values}),

@@ -21,7 +21,7 @@ from uuid import uuid4
 
 from animtool.batch.cluster_client import (
     ADDRESS_PATTERN,
-    TIMEOUT,
+    ANSWER_TIMEOUT,
     connect_client,
     disk_tokens,
     leave_cluster,
@@ -39,7 +39,7 @@ from animtool.batch.cluster_worker import (
 from animtool.batch.delivery import Delivery
 from animtool.batch.executors import Work
 from animtool.batch.item import Item
-from animtool.batch.work import RESUME, ItemOutcome, ItemStatus
+from animtool.batch.work import RESUME_HINT, ItemOutcome, ItemStatus
 from animtool.batch.worker_process import WorkerTask
 from animtool.core.errors import Fault, OptionError, counted, excerpt, listed, warning
 from animtool.core.files.reading import FileState, changed_error
@@ -54,7 +54,7 @@ MAX_WORKERLESS_SECONDS = 300.0
 # file was missing.
 MAX_DELIVERY_SECONDS = 90.0
 # Number of times that an item is sent again after its worker was lost.
-MAX_LOSSES = 3
+MAX_WORKER_LOSSES = 3
 
 
 def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
@@ -81,10 +81,10 @@ def dask(work: Work) -> Iterator[ItemOutcome | Fault]:
 
 def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
     client = connect_client(address)
-    name = f"animtool-{uuid4().hex}"
+    run_name = f"animtool-{uuid4().hex}"
     try:
         with disk_tokens(work.folders) as tokens:
-            run = _ClusterRun(client, name, work, tokens)
+            run = _ClusterRun(client, run_name, work, tokens)
             # dask calls back in one thread for all clients of a process; waiting for a
             # lost result there would block them.
             queues = (run.finished_futures, run.results)
@@ -94,7 +94,7 @@ def _outcomes(work: Work, address: str) -> Iterator[ItemOutcome | Fault]:
             finally:
                 run.finished_futures.put(None)
     finally:
-        leave_cluster(client, name)
+        leave_cluster(client, run_name)
 
 
 def _fetch_results(
@@ -103,15 +103,15 @@ def _fetch_results(
     """Fetch the results of finished tasks until None is in the queue."""
     while (future := finished_futures.get()) is not None:
         try:
-            value = future.result()
+            result = future.result()
         except BaseException as error:
-            value = error
-        results.put((future, value))
+            result = error
+        results.put((future, result))
 
 
 @dataclass(slots=True, eq=False)
 class _ClusterWorker:
-    """State of one worker of the cluster."""
+    """A worker of the cluster: its threads, its load, and whether it is fit."""
 
     address: str
     thread_count: int  # number of threads
@@ -120,10 +120,10 @@ class _ClusterWorker:
     running_count: int = 0  # number of running items
     built_count: int = 0  # number of finished items
 
-    def has_room(self, *, queue_next: bool) -> bool:
-        """Return whether to send another item; ``queue_next`` allows one extra item."""
+    def has_room(self, *, allows_queueing: bool) -> bool:
+        """Return whether to send another item; with queueing, one more than threads."""
         return self.running_count < self.thread_count + (
-            queue_next and self.built_count > 0
+            allows_queueing and self.built_count > 0
         )
 
     def __str__(self) -> str:
@@ -131,7 +131,7 @@ class _ClusterWorker:
 
 
 @dataclass(slots=True)
-class _SentItem:
+class _SentTask:
     """A task sent to a worker: it builds an item, or checks the worker if None."""
 
     worker: _ClusterWorker
@@ -140,15 +140,15 @@ class _SentItem:
 
 @dataclass(slots=True)
 class _ClusterRun:
-    """A run of a batch on a cluster."""
+    """A run of a batch on a cluster: its workers, sent items and pending outcomes."""
 
     client: Any  # dask client
-    name: str  # unique name of the run
+    run_name: str  # unique name of the run
     work: Work
     # Content by path of files by which workers recognise the output disks.
     tokens: Mapping[str, str]
     workers: dict[str, _ClusterWorker] = field(default_factory=dict)  # live workers
-    sent_items: dict[Any, _SentItem] = field(
+    sent_tasks: dict[Any, _SentTask] = field(
         default_factory=dict
     )  # running tasks by future
     finished_futures: SimpleQueue[Any] = field(
@@ -160,7 +160,7 @@ class _ClusterRun:
     # Number of losses by item number.
     loss_counts: dict[int, int] = field(default_factory=dict)
     # Outcomes whose files are not visible yet, with the deadline.
-    undelivered: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
+    undelivered_outcomes: list[tuple[float, Item, _ClusterWorker, ItemOutcome]] = field(
         default_factory=list
     )
     pending_warnings: list[Fault] = field(default_factory=list)
@@ -168,11 +168,11 @@ class _ClusterRun:
     pickled_check: bytes = field(init=False)  # pickled `WorkerCheck`
     build_item: Callable[[bytes], ItemOutcome | None] = field(init=False)
     _last_worker_time: float = field(default_factory=time.monotonic)
-    _warned_of_no_workers: bool = False  # whether the lack of workers was reported
+    _has_warned_of_no_workers: bool = False  # whether the lack of workers was reported
 
     def __post_init__(self) -> None:
         self.delivery = Delivery(self.work.builder.root)
-        self.build_item = build_task(self.name)  # pickled only once
+        self.build_item = build_task(self.run_name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
         inputs = tuple(self.delivery.input_checks(self.work.inputs))
         self.pickled_check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
@@ -187,38 +187,38 @@ class _ClusterRun:
             has_more = self._send_items()
             yield from self.pending_warnings
             self.pending_warnings.clear()
-            if has_more and not self.undelivered:
+            if has_more and not self.undelivered_outcomes:
                 self._raise_if_all_excluded()
-            is_building = any(sent_item.item for sent_item in self.sent_items.values())
-            if not (has_more or self.undelivered or is_building):
+            is_building = any(sent_task.item for sent_task in self.sent_tasks.values())
+            if not (has_more or self.undelivered_outcomes or is_building):
                 return
             with suppress(Empty):
                 future, value = self.results.get(timeout=POLL_INTERVAL)
-                if future in self.sent_items:
-                    yield from self._handle_answer(self.sent_items.pop(future), value)
+                if future in self.sent_tasks:
+                    yield from self._handle_answer(self.sent_tasks.pop(future), value)
             yield from self._delivered_outcomes()
 
     def _thread_counts(self) -> Mapping[str, int]:
         """Return the number of threads of each current worker, by address."""
         if self.client.status in {"closing", "closed"}:
             reason = "the scheduler has stopped"
-            raise unusable_cluster_error(self.work.argument, reason, RESUME)
+            raise unusable_cluster_error(self.work.argument, reason, RESUME_HINT)
         try:
             thread_counts: Mapping[str, int] = self.client.nthreads(
-                callback_timeout=TIMEOUT
+                callback_timeout=ANSWER_TIMEOUT
             )
         except (OSError, RuntimeError):
             # The client searches for its scheduler again, and closes if it is gone.
             thread_counts = {}
         current_time = time.monotonic()
         if thread_counts:
-            self._last_worker_time, self._warned_of_no_workers = current_time, False
+            self._last_worker_time, self._has_warned_of_no_workers = current_time, False
             return thread_counts
         if current_time - self._last_worker_time > MAX_WORKERLESS_SECONDS:
             reason = f"it has had no worker for {MAX_WORKERLESS_SECONDS:g} s"
-            raise unusable_cluster_error(self.work.argument, reason, RESUME)
-        if not self._warned_of_no_workers:
-            self._warned_of_no_workers = True
+            raise unusable_cluster_error(self.work.argument, reason, RESUME_HINT)
+        if not self._has_warned_of_no_workers:
+            self._has_warned_of_no_workers = True
             message = f"the cluster at {self.work.argument} has no workers now: "
             message += f"waiting up to {MAX_WORKERLESS_SECONDS:g} s for one"
             hint = "start workers: dask worker ADDRESS"
@@ -231,62 +231,62 @@ class _ClusterRun:
         """Reclaim the items of lost workers and start the checks of new workers."""
         for address in self.workers.keys() - thread_counts.keys():
             worker = self.workers.pop(address)
-            for future, sent_item in list(self.sent_items.items()):
-                if sent_item.worker is worker:
+            for future, sent_task in list(self.sent_tasks.items()):
+                if sent_task.worker is worker:
                     future.cancel()
-                    del self.sent_items[future]
+                    del self.sent_tasks[future]
                     reason = "the worker has stopped"
-                    yield from self._resend_lost_item(sent_item, reason)
+                    yield from self._resend_lost_item(sent_task, reason)
         for address in thread_counts.keys() - self.workers.keys():
             self.workers[address] = _ClusterWorker(address, thread_counts[address])
             self._start_check(self.workers[address])
 
     def _resend_lost_item(
-        self, sent_item: _SentItem, reason: str
+        self, sent_task: _SentTask, reason: str
     ) -> Iterator[ItemOutcome]:
         """Send the item of a lost worker again; let it fail after too many attempts."""
-        sent_item.worker.running_count -= sent_item.item is not None
-        if sent_item.item is None:
+        sent_task.worker.running_count -= sent_task.item is not None
+        if sent_task.item is None:
             return
-        number = sent_item.item.number
+        number = sent_task.item.number
         self.loss_counts[number] = self.loss_counts.get(number, 0) + 1
-        if self.loss_counts[number] < MAX_LOSSES:
-            self.items_to_resend.append(sent_item.item)
+        if self.loss_counts[number] < MAX_WORKER_LOSSES:
+            self.items_to_resend.append(sent_task.item)
             return
-        message = f"{MAX_LOSSES} workers were lost while they built it: the last, "
-        message += f"{sent_item.worker}: {reason}"
+        message = f"{MAX_WORKER_LOSSES} workers were lost while they built it: the "
+        message += f"last, {sent_task.worker}: {reason}"
         hint = "out of memory or over a time limit of the cluster; see the workers' "
         hint += "logs"
-        fault = Fault("BAT020", message, str(sent_item.item.file.path), (), hint)
-        yield ItemOutcome.failed(sent_item.item, fault)
+        fault = Fault("BAT020", message, str(sent_task.item.file.path), (), hint)
+        yield ItemOutcome.failed(sent_task.item, fault)
 
     def _start_check(self, worker: _ClusterWorker) -> None:
-        task = check_task(self.name, builder_versions())
-        self._submit(task, self.pickled_check, _SentItem(worker))
+        task = check_task(self.run_name, builder_versions())
+        self._submit(task, self.pickled_check, _SentTask(worker))
 
-    def _submit(self, function: Any, argument: bytes, sent_item: _SentItem) -> None:
+    def _submit(self, function: Any, argument: bytes, sent_task: _SentTask) -> None:
         future = self.client.submit(
-            function, argument, pure=False, workers=[sent_item.worker.address]
+            function, argument, pure=False, workers=[sent_task.worker.address]
         )
-        self.sent_items[future] = sent_item
+        self.sent_tasks[future] = sent_task
         future.add_done_callback(self.finished_futures.put)
 
     def _send_items(self) -> bool:
         """Send items to workers with free threads; return whether any items remain."""
         fit_workers = [worker for worker in self.workers.values() if worker.is_fit]
-        total_running = sum(worker.running_count for worker in fit_workers)
+        running_count = sum(worker.running_count for worker in fit_workers)
         requested_count = self.work.requested_jobs
-        threads = sum(worker.thread_count for worker in fit_workers)
+        thread_count = sum(worker.thread_count for worker in fit_workers)
         # If every thread is busy, the next item is queued at the worker, so that its
         # transfer takes no time later.
         queue_next = self.work.queue_next and (
-            requested_count is None or requested_count >= threads
+            requested_count is None or requested_count >= thread_count
         )
-        while queue_next or requested_count is None or total_running < requested_count:
+        while queue_next or requested_count is None or running_count < requested_count:
             idle_workers = [
                 worker
                 for worker in fit_workers
-                if worker.has_room(queue_next=queue_next)
+                if worker.has_room(allows_queueing=queue_next)
             ]
             if not idle_workers:
                 return True
@@ -296,55 +296,55 @@ class _ClusterRun:
                 return False
             worker = min(idle_workers, key=lambda w: w.running_count / w.thread_count)
             worker.running_count += 1
-            total_running += 1
-            self._submit(self.build_item, pickle.dumps(item), _SentItem(worker, item))
+            running_count += 1
+            self._submit(self.build_item, pickle.dumps(item), _SentTask(worker, item))
         return True
 
     def _raise_if_all_excluded(self) -> None:
         """Raise an error if all workers were checked and none is fit."""
         workers = self.workers.values()
         if workers and all(worker.is_fit is False for worker in workers):
-            count = counted(len(workers), "worker")
-            reason = f"{count}, all excluded: the warnings say why"
-            raise unusable_cluster_error(self.work.argument, reason, RESUME)
+            worker_text = counted(len(workers), "worker")
+            reason = f"{worker_text}, all excluded: the warnings say why"
+            raise unusable_cluster_error(self.work.argument, reason, RESUME_HINT)
 
     def _handle_answer(
-        self, sent_item: _SentItem, value: object
+        self, sent_task: _SentTask, answer: object
     ) -> Iterator[ItemOutcome | Fault]:
-        """Yield what follows from a worker's answer to a check or a build."""
-        worker, item = sent_item.worker, sent_item.item
+        """Process the result of a check or a build; yield outcomes and warnings."""
+        worker, item = sent_task.worker, sent_task.item
         if item is None:
-            yield from self._accept_check(worker, value)
+            yield from self._accept_check(worker, answer)
             return
-        if isinstance(value, BaseException):
+        if isinstance(answer, BaseException):
             # A lost worker is detected in the next count.
-            reason = f"{type(value).__name__}: {value}"
-            yield from self._resend_lost_item(sent_item, reason)
+            reason = f"{type(answer).__name__}: {answer}"
+            yield from self._resend_lost_item(sent_task, reason)
             return
         worker.running_count -= 1
-        if value is None:
+        if answer is None:
             # Another process has the address now.
             worker.is_fit = None
             self.items_to_resend.append(item)
             self._start_check(worker)
-        elif not (isinstance(value, ItemOutcome) and value.number == item.number):
+        elif not (isinstance(answer, ItemOutcome) and answer.number == item.number):
             message = f"worker {worker} returned something other than a result"
             fault = Fault("BAT020", message, str(item.file.path))
             yield ItemOutcome.failed(item, fault)
-        elif value.status is ItemStatus.DONE:
-            yield from self._accept_outcome(worker, item, value)
+        elif answer.status is ItemStatus.DONE:
+            yield from self._accept_outcome(worker, item, answer)
         else:
-            yield from self._accept_failure(worker, item, value)
+            yield from self._accept_failure(worker, item, answer)
 
-    def _accept_check(self, worker: _ClusterWorker, value: object) -> Iterator[Fault]:
-        if isinstance(value, tuple):
-            worker.host, code, reason = value
+    def _accept_check(self, worker: _ClusterWorker, answer: object) -> Iterator[Fault]:
+        if isinstance(answer, tuple):
+            worker.host, code, reason = answer
             worker.is_fit = not code
         elif worker.address not in self._thread_counts():
             return
         else:
             worker.is_fit, code = False, INPUTS_CODE
-            reason = f"it cannot be checked: {type(value).__name__}: {value}"
+            reason = f"it cannot be checked: {type(answer).__name__}: {answer}"
         if not worker.is_fit:
             yield from self._exclude_worker(worker, code, reason)
 
@@ -374,19 +374,19 @@ class _ClusterRun:
             self.items_to_resend.append(item)
         else:
             deadline = time.monotonic() + MAX_DELIVERY_SECONDS
-            self.undelivered.append((deadline, item, worker, outcome))
+            self.undelivered_outcomes.append((deadline, item, worker, outcome))
 
     def _delivered_outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcomes whose output files have arrived with the right content."""
-        current_time, waiting_outcomes = time.monotonic(), self.undelivered
-        self.undelivered = []
+        current_time, waiting_outcomes = time.monotonic(), self.undelivered_outcomes
+        self.undelivered_outcomes = []
         for deadline, item, worker, outcome in waiting_outcomes:
             delivered_outcome = self.delivery.with_local_outputs(outcome)
             if delivered_outcome is not None:
                 worker.built_count += 1
                 yield delivered_outcome
             elif current_time < deadline and worker.is_fit:
-                self.undelivered.append((deadline, item, worker, outcome))
+                self.undelivered_outcomes.append((deadline, item, worker, outcome))
             else:
                 self.items_to_resend.append(item)
                 if worker.is_fit:

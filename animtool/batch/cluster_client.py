@@ -12,14 +12,14 @@ from threading import Thread
 from typing import Any
 from uuid import uuid4
 
-from animtool.batch.records import RecordError, json_of_file, text_in
+from animtool.batch.records import RecordError, read_json, text_in
 from animtool.core.errors import Fault, OutputError, excerpt
 from animtool.core.files.leftovers import new_temporary_path
 
 # Time for a scheduler to answer [s]; with the start of a command, a missing one is
 # reported within 10 s.
-TIMEOUT = 6.5
-MAX_TOKENS = 50
+ANSWER_TIMEOUT = 6.5
+MAX_TOKEN_FILES = 50
 # A scheduler writes a kilobyte about itself, and some for each worker.
 MAX_SCHEDULER_FILE_BYTES = 16_000_000
 ADDRESS_PATTERN = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
@@ -28,7 +28,7 @@ ADDRESS_PATTERN = re.compile(r"([a-z]+://.+)|(.+:[0-9]+)")
 def scheduler_address(path: Path) -> str:
     """Return the address in a scheduler file."""
     try:
-        address = text_in(json_of_file(path, MAX_SCHEDULER_FILE_BYTES), "address", 1000)
+        address = text_in(read_json(path, MAX_SCHEDULER_FILE_BYTES), "address", 1000)
     except RecordError as error:
         raise _unreachable_error(str(path), error) from error
     if not ADDRESS_PATTERN.fullmatch(address):
@@ -45,7 +45,7 @@ def connect_client(address: str) -> Any:
 
     def connect() -> None:
         try:
-            results.put(Client(address, timeout=TIMEOUT, set_as_default=False))
+            results.put(Client(address, timeout=ANSWER_TIMEOUT, set_as_default=False))
         except Exception as error:
             results.put(error)
 
@@ -55,9 +55,9 @@ def connect_client(address: str) -> Any:
         warnings.simplefilter("ignore")
         Thread(target=connect, daemon=True).start()
         try:
-            client = results.get(timeout=TIMEOUT)
+            client = results.get(timeout=ANSWER_TIMEOUT)
         except Empty:
-            client = TimeoutError(f"no answer within {TIMEOUT:g} s")
+            client = TimeoutError(f"no answer within {ANSWER_TIMEOUT:g} s")
     if isinstance(client, Exception):
         raise _unreachable_error(address, client) from client
     return client
@@ -73,7 +73,7 @@ def _unreachable_error(scheduler_text: str, error: Exception) -> OutputError:
 
 
 def unusable_cluster_error(address: str, reason: str, hint: str) -> OutputError:
-    """Return the error of a cluster that cannot build items."""
+    """Return the error of a cluster that is unreachable or has no usable worker."""
     message = f"the dask cluster at {address} cannot be used: {reason}"
     return OutputError(Fault("BAT035", message, hint=hint))
 
@@ -85,9 +85,9 @@ def leave_cluster(client: Any, name: str) -> None:
     """
 
     def release_run(dask_worker: Any) -> None:
-        from animtool.batch.cluster_worker import release
+        from animtool.batch.cluster_worker import stop_run
 
-        release(dask_worker, name)
+        stop_run(dask_worker, name)
 
     def disconnect() -> None:
         with suppress(Exception):
@@ -95,20 +95,20 @@ def leave_cluster(client: Any, name: str) -> None:
 
     disconnect_thread = Thread(target=disconnect, daemon=True)
     disconnect_thread.start()
-    disconnect_thread.join(TIMEOUT)
+    disconnect_thread.join(ANSWER_TIMEOUT)
     with suppress(TimeoutError):
-        client.close(TIMEOUT)
+        client.close(ANSWER_TIMEOUT)
 
 
 @contextmanager
 def disk_tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
-    """Create files in output folders by which workers find them; remove them after.
+    """Create files that identify the output folders to workers; remove them after.
 
     The context is their content, by path.
     """
     token_texts: dict[str, str] = {}
     try:
-        for folder in folders[:MAX_TOKENS]:
+        for folder in folders[:MAX_TOKEN_FILES]:
             path = new_temporary_path(folder.absolute() / "token")
             with suppress(OSError):
                 path.parent.mkdir(parents=True, exist_ok=True)

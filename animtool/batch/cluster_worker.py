@@ -85,71 +85,75 @@ def version_differences(
 
 
 def prepare_worker(
-    worker: Any, name: str, versions: Mapping[str, str], pickled_check: bytes
+    worker: Any, run_name: str, versions: Mapping[str, str], pickled_check: bytes
 ) -> tuple[str, str]:
     """Prepare a worker for a run; return a code and a reason if it is unfit.
 
     Args:
         worker: The worker, which keeps the prepared state in its ``plugins``.
-        name: Name of the run.
+        run_name: Name of the run.
         versions: Result of `builder_versions` on the machine of the run.
         pickled_check: A `WorkerCheck`, read only if the versions are equal.
     """
     differences = version_differences(versions, builder_versions())
     if differences:
         return VERSIONS_CODE, f"it has {differences}"
-    check: WorkerCheck = pickle.loads(pickled_check)
-    code, reason = next(_unfit_reasons(check), ("", ""))
+    worker_check: WorkerCheck = pickle.loads(pickled_check)
+    code, reason = next(_unfit_reasons(worker_check), ("", ""))
     if not code:
-        worker.plugins[name] = WorkerProcesses(check.task)
+        worker.plugins[run_name] = WorkerProcesses(worker_check.task)
     return code, reason
 
 
-def _unfit_reasons(check: WorkerCheck) -> Iterator[tuple[str, str]]:
+def _unfit_reasons(worker_check: WorkerCheck) -> Iterator[tuple[str, str]]:
     """Yield a code and a reason for each requirement that this worker does not meet."""
-    if not Path(check.task.folder).is_dir():
-        yield INPUTS_CODE, f"it has no folder {excerpt(check.task.folder, 200)}"
-    paths = [entry.path for entry in check.inputs]
+    if not Path(worker_check.task.folder).is_dir():
+        yield INPUTS_CODE, f"it has no folder {excerpt(worker_check.task.folder, 200)}"
+    paths = [input_check.path for input_check in worker_check.inputs]
     missing_paths = [path for path in paths if not os.access(path, os.R_OK)]
     if missing_paths:
-        counts = f"{len(missing_paths)} of {len(paths)} inputs"
-        yield INPUTS_CODE, f"it cannot read {counts}: {listed(missing_paths, 2)}"
-    different_paths = [entry.path for entry in check.inputs if not _is_same(entry)]
+        counts_text = f"{len(missing_paths)} of {len(paths)} inputs"
+        yield INPUTS_CODE, f"it cannot read {counts_text}: {listed(missing_paths, 2)}"
+    different_paths = [
+        input_check.path
+        for input_check in worker_check.inputs
+        if not _has_expected_content(input_check)
+    ]
     if different_paths:
         reason = "it has different files with the same names: "
         yield INPUTS_CODE, reason + listed(different_paths, 2)
-    for path, text in check.tokens.items():
+    for path, text in worker_check.tokens.items():
         folder = Path(path).parent
         try:
-            is_same = read_input(Path(path), is_recorded=False) == text.encode()
+            has_token = read_input(Path(path), is_recorded=False) == text.encode()
         except AnimtoolError:
-            is_same = False
-        if not is_same:
+            has_token = False
+        if not has_token:
             yield DISK_CODE, f"its {str(folder)!r} is not the folder of this machine"
         elif not os.access(folder, os.W_OK | os.X_OK):
             yield DISK_CODE, f"it has no permission to write to {str(folder)!r}"
 
 
-def _is_same(expected: InputCheck) -> bool:
+def _has_expected_content(expected_input: InputCheck) -> bool:
     """Return whether a file of this machine has the expected size and content."""
     try:
-        path = Path(expected.path)
-        if path.stat().st_size != expected.size:
+        path = Path(expected_input.path)
+        if path.stat().st_size != expected_input.size:
             return False
-        return not expected.sha256 or file_digest(path) == expected.sha256
+        return not expected_input.sha256 or file_digest(path) == expected_input.sha256
     except (OSError, AnimtoolError):
         return False
 
 
-def build_on_worker(worker: Any, name: str, item: Item) -> ItemOutcome | None:
+def build_on_worker(worker: Any, run_name: str, item: Item) -> ItemOutcome | None:
     """Build an item on a worker; return None if it is not prepared for the run."""
-    processes: WorkerProcesses | None = worker.plugins.get(name)
+    processes: WorkerProcesses | None = worker.plugins.get(run_name)
     return None if processes is None else processes.build(item)
 
 
-def release(worker: Any, name: str) -> None:
+def stop_run(worker: Any, run_name: str) -> None:
     """Stop the work of a run on a worker."""
-    processes: WorkerProcesses | None = worker.plugins.pop(name, None)
+    processes: WorkerProcesses | None = worker.plugins.pop(run_name, None)
     if processes is not None:
         processes.teardown(worker)
 
@@ -163,7 +167,7 @@ class WorkerProcesses:
     _busy: list[WorkerProcess] = field(default_factory=list)
 
     def build(self, item: Item) -> ItemOutcome:
-        """Build an item and return its outcome."""
+        """Build an item in an idle subprocess, or a new one; return its outcome."""
         # Both operations are atomic among threads.
         process = self._idle.pop() if self._idle else WorkerProcess(self.task)
         self._busy.append(process)
@@ -180,14 +184,14 @@ class WorkerProcesses:
         return outcome
 
     def teardown(self, worker: object) -> None:
-        """Stop the subprocesses and their work."""
+        """Kill the subprocesses; dask calls this when the worker closes."""
         del worker
         for process in [*self._idle, *self._busy]:
             process.end()
 
 
 def check_task(
-    name: str, versions: Mapping[str, str]
+    run_name: str, versions: Mapping[str, str]
 ) -> Callable[[bytes], tuple[str, str, str]]:
     """Return a function that checks a worker; it returns host, code and reason.
 
@@ -195,7 +199,7 @@ def check_task(
     function is sent as code, and its animtool arguments as bytes.
     """
 
-    def check_worker(pickled: bytes) -> tuple[str, str, str]:
+    def check_worker(pickled_check: bytes) -> tuple[str, str, str]:
         import platform
 
         from distributed import get_worker
@@ -204,30 +208,33 @@ def check_task(
         try:
             from animtool.batch.cluster_worker import prepare_worker
 
-            return (host, *prepare_worker(get_worker(), name, versions, pickled))
+            return (
+                host,
+                *prepare_worker(get_worker(), run_name, versions, pickled_check),
+            )
         except Exception as error:
             from importlib.metadata import PackageNotFoundError, version
 
             try:
-                actual = f"animtool {version('animtool')}"
+                installed_version = f"animtool {version('animtool')}"
             except PackageNotFoundError:
-                actual = "no animtool"
-            reason = f"it has {actual} instead of {versions['animtool']}: "
+                installed_version = "no animtool"
+            reason = f"it has {installed_version} instead of {versions['animtool']}: "
             return host, "BAT036", f"{reason}{type(error).__name__}: {error}"
 
     return check_worker
 
 
-def build_task(name: str) -> Callable[[bytes], ItemOutcome | None]:
+def build_task(run_name: str) -> Callable[[bytes], ItemOutcome | None]:
     """Return a function that builds a pickled item on a checked worker."""
 
-    def build_item(pickled: bytes) -> ItemOutcome | None:
+    def build_item(pickled_item: bytes) -> ItemOutcome | None:
         import pickle
 
         from distributed import get_worker
 
         from animtool.batch.cluster_worker import build_on_worker
 
-        return build_on_worker(get_worker(), name, pickle.loads(pickled))
+        return build_on_worker(get_worker(), run_name, pickle.loads(pickled_item))
 
     return build_item

@@ -1,4 +1,4 @@
-"""The frames of a cut: start, media, and names for patterns."""
+"""The frames of a cut: its start, its media, and values for output patterns."""
 
 from __future__ import annotations
 
@@ -74,12 +74,12 @@ def cut_metadata(
         try:
             values[key] = _PARSERS.get(key, _parse_integer)(key, value)
         except (TypeError, ValueError) as error:
-            hint = f"write a value such as {EXAMPLES[key]}"
+            hint = f"write a value such as {EXAMPLE_VALUES[key]}"
             faults.append((f"{location}: {key}: {error}", hint))
     return CutOptions(**values), faults
 
 
-EXAMPLES = {
+EXAMPLE_VALUES = {
     "start_frame": "1001",
     "cut_start": "1009",
     "handles": "8",
@@ -128,32 +128,36 @@ class CutContext:
     timeline: CutOptions
     project: Config
 
-    def _first_set(self, name: str) -> Any:
-        """Return a setting of the options, else of the clip, else of the timeline."""
+    def _first_setting(self, name: str) -> Any:
+        """Return a setting from the options, else clip, else timeline; else None."""
         values = (getattr(o, name) for o in (self.options, self.clip, self.timeline))
         return next((value for value in values if value is not None), None)
 
     @property
     def handles(self) -> int:
         """Number of frames before and after the cut that the shot includes."""
-        return self._first_set("handles") or 0
+        return self._first_setting("handles") or 0
 
     def first_timecode(
-        self, default: Fraction | None, rate: Fraction, *, drop: bool = False
+        self,
+        stated_time: Fraction | None,
+        rate: Fraction,
+        *,
+        is_drop_frame: bool = False,
     ) -> Fraction:
         """Return the time of the media's first frame on its time code clock [s].
 
         Args:
-            default: Time stated by the timeline [s]; None if it states none.
+            stated_time: Time stated by the timeline [s]; None if it states none.
             rate: Frames per second counted by the time codes.
-            drop: Whether they are drop-frame.
+            is_drop_frame: Whether they are drop-frame.
         """
-        text: str | None = self._first_set("first_timecode")
-        if text is None and default is None:
+        text: str | None = self._first_setting("first_timecode")
+        if text is None and stated_time is None:
             text = self.project.timeline.first_timecode
         if text is None:
-            return Fraction(0) if default is None else default
-        if drop and ";" not in text:
+            return Fraction(0) if stated_time is None else stated_time
+        if is_drop_frame and ";" not in text:
             text = ";".join(text.rsplit(":", 1))
         return parse_timecode(text, rate) / rate
 
@@ -162,7 +166,7 @@ class CutContext:
 
         A start includes the head handle. The project's default is 1001.
         """
-        faults, project = list[str](), self.project
+        conflicts, project = list[str](), self.project
         levels = {
             "options": self.options,
             "its metadata": self.clip,
@@ -171,17 +175,17 @@ class CutContext:
         }
         for level_name, level in levels.items():
             start, cut_start = level.start_frame, level.cut_start
-            after_handle = None if start is None else start + self.handles
-            if after_handle is not None and cut_start not in {None, after_handle}:
+            cut_begin = None if start is None else start + self.handles
+            if cut_begin is not None and cut_start not in {None, cut_begin}:
                 message = f"{level_name}: start_frame {start} with handles of "
-                message += f"{self.handles} puts the start of the cut at {after_handle}"
-                faults.append(f"{message}, but cut_start is {cut_start}")
+                message += f"{self.handles} puts the start of the cut at {cut_begin}"
+                conflicts.append(f"{message}, but cut_start is {cut_start}")
             if cut_start is not None:
-                return cut_start, faults
-            if after_handle is not None:
-                return after_handle, faults
+                return cut_start, conflicts
+            if cut_begin is not None:
+                return cut_begin, conflicts
         start = SHOT_START if project.start is None else int(project.start)
-        return start + self.handles, faults
+        return start + self.handles, conflicts
 
 
 def build_shot(
@@ -189,39 +193,39 @@ def build_shot(
     span: Span,
     fps: Fraction,
     context: CutContext,
-    first: Fraction,
+    media_start: Fraction,
     transitions: tuple[int, int] = (0, 0),
     *,
-    drop: bool = False,
+    is_drop_frame: bool = False,
 ) -> Shot:
-    """Return the shot of a clip.
+    """Return the shot of a clip: its cut, handles, and time in the media.
 
     Args:
         name: Name of the shot.
         span: Media range of the clip.
         fps: Rate of the shot.
         context: Settings of the shot.
-        first: Time of the media's first frame, in the clip's time codes [s].
+        media_start: Time of the media's first frame, in the clip's time codes [s].
         transitions: Frames shown by transitions before and after the cut.
-        drop: Whether time codes of the media are drop-frame.
+        is_drop_frame: Whether time codes of the media are drop-frame.
     """
     handles, (cut_in, _) = context.handles, context.cut_in()
     frames_before, frames_after = transitions
-    count = frames_within(span.seconds, fps)
-    media_in = span.begin - first
+    frame_count = frames_within(span.seconds, fps)
+    media_in = span.begin - media_start
     if span.speed < 0:
-        media_in -= (count - 1) * span.speed / fps
-    count += frames_before + frames_after
+        media_in -= (frame_count - 1) * span.speed / fps
+    frame_count += frames_before + frames_after
     return Shot(
         cut_in,
-        cut_in + count - 1,
+        cut_in + frame_count - 1,
         handles,
         handles,
         name,
         fps,
         media_in - frames_before * span.speed / fps,
         span.speed,
-        MediaTimecode(span.rate, first, drop),
+        MediaTimecode(span.rate, media_start, is_drop_frame),
     )
 
 
@@ -238,16 +242,18 @@ def shot_notices(
         range_text = f"from {begin} of its media to {end}"
         message = f"{clip_text} plays in reverse, {range_text}; so does the shot"
         yield "BAT044", message, Severity.WARNING
-    shown = float(span.seconds * fps)
+    shown_frames = float(span.seconds * fps)
     if span.seconds * fps < 1 - FRAME_TOLERANCE:
-        message = f"{clip_text} shows {shown:.3g} of a frame; the shot has one frame"
+        message = (
+            f"{clip_text} shows {shown_frames:.3g} of a frame; the shot has one frame"
+        )
         yield "BAT043", message, Severity.WARNING
 
 
-def media_names(shot: Shot, media_fps: Fraction) -> dict[str, str]:
+def media_values(shot: Shot, media_fps: Fraction) -> dict[str, str]:
     """Return the media frames that a cut shows, counted from 1, for use in patterns."""
-    names = {"media_fps": str(media_fps)}
+    values = {"media_fps": str(media_fps)}
     for name, frame in (("media_first", shot.cut_in), ("media_last", shot.cut_out)):
         media_frame = shot.seconds_at(frame) * media_fps
-        names[name] = str(floor(media_frame + FRAME_TOLERANCE) + 1)
-    return names
+        values[name] = str(floor(media_frame + FRAME_TOLERANCE) + 1)
+    return values

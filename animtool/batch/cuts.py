@@ -15,7 +15,7 @@ from animtool.batch.cut_frames import (
     CutOptions,
     build_shot,
     cut_metadata,
-    media_names,
+    media_values,
     shot_notices,
 )
 from animtool.batch.edl import TimelineBuilder, read_edl
@@ -60,23 +60,23 @@ MAX_FAULTS, MAX_LISTED = 100, 100
 # Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME_LENGTH = 120
 # Everything but characters that are safe in file names and variables.
-_ILLEGAL = re.compile(r"[^A-Za-z0-9_-]+")
+_ILLEGAL_CHARACTERS = re.compile(r"[^A-Za-z0-9_-]+")
 
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """One item's media: a clip of a timeline with its shot, or a file."""
+    """The media of one item: a clip of a timeline with its shot, or a plain file."""
 
     media: MatchedFile
     # Values of `SHOT_NAMES` for its scene and its output.
-    names: Mapping[str, str] = field(default_factory=dict)
+    shot_values: Mapping[str, str] = field(default_factory=dict)
     # Frames of the clip; None for a file outside of a timeline.
     shot: Shot | None = None
 
 
 @dataclass(slots=True)
 class CutList:
-    """The shots of a timeline, and notices."""
+    """The shots of a timeline, with notices about clips that were left out."""
 
     shots: list[Cut] = field(default_factory=list)  # in its order
     # Notices about clips that were left out or changed.
@@ -125,22 +125,24 @@ def _shot_clips(
     if not names:
         message = "has no clip, so there is no shot to bake"
         raise OptionError(Fault("BAT048", message, str(path)))
-    shots = f"the shots are {listed(names, MAX_LISTED)}"
+    shots_text = f"the shots are {listed(names, MAX_LISTED)}"
     if name is None:
         if len(names) == 1:
             return list(shown_clips)
         message = f"has {counted(len(names), 'shot')}: name one with {argument('shot')}"
-        raise OptionError(Fault("BAT048", message, str(path), (), shots))
+        raise OptionError(Fault("BAT048", message, str(path), (), shots_text))
     if name not in names:
         suggestion = name_hint(name, names)
-        hint = f"{suggestion} {shots}" if suggestion.startswith("did") else shots
+        hint = (
+            f"{suggestion} {shots_text}" if suggestion.startswith("did") else shots_text
+        )
         message = f"has no shot {excerpt(name)}"
         raise OptionError(Fault("BAT048", message, str(path), (), hint))
     return [shown_clip for shown_clip in shown_clips if shown_clip.name == name]
 
 
 class _CutReader:
-    """Reads the shots of a timeline."""
+    """Reads the shots of a timeline, and collects its notices and faults."""
 
     def __init__(
         self,
@@ -204,7 +206,7 @@ class _CutReader:
         return timeline
 
     def build_cuts(self, shown_clips: Sequence[ShownClip]) -> CutList:
-        """Return the shots that clips show."""
+        """Return the shots of clips; raise all faults together."""
         for shown_clip in shown_clips:
             self.add_shot(shown_clip)
         if self.faults:
@@ -214,7 +216,7 @@ class _CutReader:
     def add_notice(
         self, code: str, message: str, severity: Severity = Severity.NOTE
     ) -> None:
-        """Record a notice on the timeline."""
+        """Record a note or warning about the timeline."""
         fault = Fault(code, message, str(self.path), severity=severity)
         self.cuts.notices.append(fault)
 
@@ -223,11 +225,12 @@ class _CutReader:
         self.faults.append(Fault(code, message, str(self.path), (), hint))
 
     def read_metadata(
-        self, schema: Any, owner_label: str, *, allows_fps: bool = False
+        self, timeline_object: Any, owner_label: str, *, allows_fps: bool = False
     ) -> CutOptions:
-        """Return the ``metadata.animtool`` of a clip or of the timeline."""
-        owner = (schema.metadata, owner_label)
-        options, faults = cut_metadata(*owner, allows_fps=allows_fps)
+        """Return the shot settings in the metadata of a clip or of the timeline."""
+        options, faults = cut_metadata(
+            timeline_object.metadata, owner_label, allows_fps=allows_fps
+        )
         for message, hint in faults:
             self.add_fault("BAT047", message, hint)
         return options
@@ -239,7 +242,7 @@ class _CutReader:
         return replace(shown_clip, name=self.unique_name(name, shown_clip.clip_text))
 
     def add_shot(self, shown_clip: ShownClip) -> None:
-        """Add the shot of a clip to the shots read so far."""
+        """Add the shot of a clip; record a fault or a notice if it has none."""
         # Imported here since it imports numpy, which planning a batch of files does not
         # need.
         from animtool.core.clock import MAX_FRAMES
@@ -260,7 +263,9 @@ class _CutReader:
             if media_range is not None:
                 media_start = seconds_of(media_range.start_time)
                 media_fps = exact_rate(media_range.start_time.rate)
-            first = context.first_timecode(media_start, span.rate, drop=is_drop_frame)
+            media_time = context.first_timecode(
+                media_start, span.rate, is_drop_frame=is_drop_frame
+            )
             transitions = self.transition_frames(shown_clip, span)
         except UnsupportedTimeError as error:
             message = f"{clip_text}: {error}; it is skipped"
@@ -273,22 +278,22 @@ class _CutReader:
         if span.seconds <= 0:
             self.add_fault("BAT041", f"{clip_text} shows no frame of its media")
             return
-        arguments = (span, self.fps, context, first, transitions)
-        shot = build_shot(shown_clip.name, *arguments, drop=is_drop_frame)
+        shot_arguments = (span, self.fps, context, media_time, transitions)
+        shot = build_shot(shown_clip.name, *shot_arguments, is_drop_frame=is_drop_frame)
         if shot.end - shot.start >= MAX_FRAMES:
             message = f"{clip_text} has too many frames: {shot.end - shot.start + 1}"
             self.add_fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
             return
         for notice in shot_notices(shot, span, self.fps, clip_text):
             self.add_notice(*notice)
-        names = {
+        shot_values = {
             "shot": shot.name,
             "clip": clip.name or "",
             "track": shown_clip.track,
             **shot.names(),
-            **media_names(shot, media_fps),
+            **media_values(shot, media_fps),
         }
-        self.cuts.shots.append(Cut(media_file, names, shot))
+        self.cuts.shots.append(Cut(media_file, shot_values, shot))
 
     def referenced_path(self, clip: Any) -> Path | None:
         """Return the file that a clip refers to, which may be missing."""
@@ -304,8 +309,8 @@ class _CutReader:
         if path is not None and _is_file(path):
             return MatchedFile(path, path.parent)
         # Some systems name clips after the full file name.
-        names = (clip.name, None if path is None else source_stem(path))
-        for stem in (*names, source_stem(Path(clip.name or ""))):
+        names_without_type = (clip.name, None if path is None else source_stem(path))
+        for stem in (*names_without_type, source_stem(Path(clip.name or ""))):
             if stem and stem.casefold() in self.media:
                 return self.media[stem.casefold()]
         if path is not None:
@@ -338,17 +343,16 @@ class _CutReader:
             for transition, is_end_visible in transitions_and_ends
         )
         if frames_before or frames_after:
-            message = (
-                f"{shown_clip.clip_text} is in transitions: {frames_before} frames "
-            )
-            message += f"before its cut and {frames_after} after it are included"
+            message = f"{shown_clip.clip_text} is in transitions: {frames_before} "
+            message += f"frames before its cut and {frames_after} after it are included"
             self.add_notice("BAT043", message)
         return frames_before, frames_after
 
     def unique_name(self, requested_name: str, clip_text: str) -> str:
         """Return a legal name that no earlier shot has."""
         legal_name = (
-            _ILLEGAL.sub("_", requested_name).strip("_-")[:MAX_NAME_LENGTH] or "shot"
+            _ILLEGAL_CHARACTERS.sub("_", requested_name).strip("_-")[:MAX_NAME_LENGTH]
+            or "shot"
         )
         name, number = legal_name, self.used_names.get(legal_name.casefold(), 1)
         while name.casefold() in self.used_names:

@@ -17,7 +17,7 @@ from animtool.core.files.reading import FileState
 from animtool.core.record import dataclass
 
 # If there are more inputs, only every n-th is checked.
-MAX_INPUTS = 10_000
+MAX_CHECKED_INPUTS = 10_000
 # Larger inputs are not compared by content before the first item [bytes].
 MAX_COMPARED_BYTES = 10_000_000
 
@@ -28,24 +28,25 @@ class Delivery:
 
     root: Path  # root of the paths in records
     # State of inputs at their first access.
-    _states: dict[Path, FileState | None] = field(default_factory=dict)
+    _first_states: dict[Path, FileState | None] = field(default_factory=dict)
     _digests: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
 
     def first_state(self, path: Path) -> FileState | None:
         """Return the state of an input when it was first recorded."""
         absolute_path = path.absolute()
-        if absolute_path not in self._states:
-            self._states[absolute_path] = FileState.of(absolute_path)
-        return self._states[absolute_path]
+        if absolute_path not in self._first_states:
+            self._first_states[absolute_path] = FileState.of(absolute_path)
+        return self._first_states[absolute_path]
 
     def input_checks(self, inputs: Iterable[Path]) -> Iterator[InputCheck]:
         """Yield the inputs that a worker must see; every n-th one if there are many."""
         paths = list(dict.fromkeys(path.absolute() for path in inputs))
-        for path in paths[:: -(-len(paths) // MAX_INPUTS) or 1]:
+        for path in paths[:: -(-len(paths) // MAX_CHECKED_INPUTS) or 1]:
             state = self.first_state(path)
             if state is not None and path.is_file():
                 is_compared = (
-                    state.size <= MAX_COMPARED_BYTES and len(paths) <= MAX_INPUTS
+                    state.size <= MAX_COMPARED_BYTES
+                    and len(paths) <= MAX_CHECKED_INPUTS
                 )
                 with suppress(AnimtoolError, OSError):
                     digest = file_digest(path) if is_compared else ""
@@ -89,7 +90,7 @@ class Delivery:
 
     def _matches_record(self, path: Path, record: FileRecord) -> bool:
         state = FileState.of(path)
-        self._states.setdefault(path, state)
+        self._first_states.setdefault(path, state)
         if state is None or record.state is None:
             return state is record.state
         return not record.sha256 or self._digest(path, state) == record.sha256

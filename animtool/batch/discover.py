@@ -26,7 +26,7 @@ from animtool.batch.item import (
     OutputPattern,
     UnsafeNameError,
     complete_pattern,
-    input_names,
+    input_values,
     output_root,
     pattern_problems,
 )
@@ -54,10 +54,10 @@ MAX_FAULTS = 50
 
 
 def _first_item(spec: BatchSpec, shot: Cut, overrides: OverriddenVariables) -> Item:
-    """Return the item of an input and of the first row of the variants."""
-    names, file = {**shot.names, **spec.rows[0]}, shot.media
+    """Return item 1 of an input, with the first row of the variants."""
+    scene_values, file = {**shot.shot_values, **spec.rows[0]}, shot.media
     variables = overrides.values.get(file.path, {})
-    return Item(1, file, file.path, names, variables=variables, shot=shot.shot)
+    return Item(1, file, file.path, scene_values, variables=variables, shot=shot.shot)
 
 
 def _item_names(spec: BatchSpec) -> set[str]:
@@ -69,14 +69,14 @@ def check_columns(spec: BatchSpec) -> None:
     """Raise an error if a column of variants has a reserved name."""
     if spec.variants is None:
         return
-    reserved = {*_item_names(spec), *spec.variables}
+    reserved_names = {*_item_names(spec), *spec.variables}
     path = spec.variants.path
     path_text, location = (None, ()) if path is None else (str(path), (1,))
     hint = f"names of inputs, shots and {argument('set')} are reserved: "
-    hint += listed(sorted(reserved))
+    hint += listed(sorted(reserved_names))
     faults = [
         Fault("BAT063", message, path_text, location, hint)
-        for _, message in name_problems(spec.variants.names, reserved)
+        for _, message in name_problems(spec.variants.names, reserved_names)
     ]
     if faults:
         raise OptionError(faults)
@@ -118,8 +118,8 @@ def _unused_variants_fault(spec: BatchSpec, scene: Scene) -> Fault:
     """Return the fault of a scene that uses no variant, located in the batch."""
     assert spec.variants is not None
     names, used_names = spec.variants.names, sorted(scene.effective_variables)
-    file = Path(str(scene.path)).name
-    message = f"{file} uses no {' or '.join(f'${{{name}}}' for name in names)}"
+    file_name = Path(str(scene.path)).name
+    message = f"{file_name} uses no {' or '.join(f'${{{name}}}' for name in names)}"
     if used_names:
         message += f"; it uses {listed([f'${{{name}}}' for name in used_names])}"
     candidates = [name for name in used_names if name not in _item_names(spec)]
@@ -127,15 +127,15 @@ def _unused_variants_fault(spec: BatchSpec, scene: Scene) -> Fault:
         if similar_name := most_similar(name, candidates):
             hint = f"did you mean {similar_name!r}?"
             return variable_fault(spec, name, "BAT060", message, hint)
-    hint = f"write ${{{names[0]}}} in {file} in place of a value"
+    hint = f"write ${{{names[0]}}} in {file_name} in place of a value"
     return variable_fault(spec, names[0], "BAT060", message, hint)
 
 
-def _unused_inputs_fault(scene: Scene, count: int) -> Fault:
+def _unused_inputs_fault(scene: Scene, item_count: int) -> Fault:
     """Return the fault of a scene that does not use its inputs."""
     message = "the scene does not use its input"
-    if count > 1:
-        message += f": all {count} items would be the same"
+    if item_count > 1:
+        message += f": all {item_count} items would be the same"
     hint = "write `file: ${input}` in its source"
     if scene.sources:
         return scene.sources[0].location.fault("BAT060", message, hint, Severity.ERROR)
@@ -144,7 +144,7 @@ def _unused_inputs_fault(scene: Scene, count: int) -> Fault:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """A batch and its items."""
+    """A batch after its inputs were found: its items and how to build them."""
 
     name: str  # name of its records
     items: tuple[Item, ...]  # in order
@@ -154,20 +154,24 @@ class Batch:
     root: Path  # folder of all outputs, absolute; root of the paths in records
     shared_inputs: tuple[Path, ...] = ()  # inputs of all items, such as a scene
     # Source of the first item, if all have the same scene.
-    sample: Source | None = None
+    common_source: Source | None = None
     # Warnings about the timeline, the inputs and the overrides.
     notices: tuple[Fault, ...] = ()
 
     @property
-    def records(self) -> Path:
+    def records_folder(self) -> Path:
         """Folder of the batch's records."""
         return self.root / RECORDS_FOLDER
 
     def outputs(self, item: Item) -> list[Path]:
-        """Return the files that an item writes."""
+        """Return the files that an item writes, loading its scene if necessary."""
         if item.files:
             return list(item.files)
-        source = self.item_task.source(item) if self.sample is None else self.sample
+        source = (
+            self.item_task.source(item)
+            if self.common_source is None
+            else self.common_source
+        )
         return self.item_task.outputs(item, source)
 
 
@@ -187,25 +191,25 @@ def find_batch(spec: BatchSpec) -> Batch:
         raise missing_inputs_error(spec)
     files = [shot.media for shot in shots]
     item_task, overrides = _item_task(spec, files), resolve_overrides(spec, files)
-    sample = None
+    common_source = None
     if spec.scene is not None:
         with locate_value_faults(spec):
-            sample = item_task.source(_first_item(spec, shots[0], overrides))
+            common_source = item_task.source(_first_item(spec, shots[0], overrides))
         if spec.output is not None:
-            item_task.refuse_two_outputs(sample)
-    _check_variables(spec, item_task, sample)
+            item_task.refuse_two_outputs(common_source)
+    _check_variables(spec, item_task, common_source)
     check_effects(spec, item_task, shots, overrides)
-    items = _ItemListBuilder(spec, item_task, shots, sample, overrides).build()
+    items = _ItemListBuilder(spec, item_task, shots, common_source, overrides).build()
     _check_roots(spec, items)
     if spec.path is not None and (fault := shared_output_fault(spec, len(items))):
         raise OptionError(fault)
     options = spec.options
     notices = (*cuts.notices, *overrides.notices)
     refuse_warnings(notices, strict=options.strict)
-    table = None if spec.variants is None else spec.variants.path
+    table_path = None if spec.variants is None else spec.variants.path
     named_paths = (
         *(spec.scene, options.rig_layer, options.source.rig),
-        *(spec.path, spec.cuts, table),
+        *(spec.path, spec.cuts, table_path),
     )
     return Batch(
         spec.name,
@@ -215,7 +219,7 @@ def find_batch(spec: BatchSpec) -> Batch:
         spec.jobs,
         Path(spec.folder, output_root(spec.output or "")).absolute(),
         tuple(path for path in named_paths if path is not None),
-        sample,
+        common_source,
         notices,
     )
 
@@ -233,8 +237,8 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
         path = spec.scene or shot.media.path
         if path not in values_by_scene and has_kind_suffix(path, "scene"):
             item = _first_item(spec, shot, overrides)
-            names = item_task.names(item)
-            values_by_scene[path] = SceneValues(names, frozenset(item.names))
+            names = item_task.variable_values(item)
+            values_by_scene[path] = SceneValues(names, frozenset(item.scene_values))
     return values_by_scene
 
 
@@ -263,30 +267,30 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
 
 
 def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:
-    """Return the settings by which the items of a batch are built."""
+    """Return how to build items: the scene, its variables, and the options."""
     paths = [file.path for file in files]
-    kinds = {
+    path_by_kind = {
         (path.suffix.lower(), has_kind_suffix(path, "scene")): path for path in paths
     }
     return ItemTask(
-        spec.scene, dict(spec.variables), spec.options, tuple(kinds.values())
+        spec.scene, dict(spec.variables), spec.options, tuple(path_by_kind.values())
     )
 
 
 def _check_variables(
-    spec: BatchSpec, item_task: ItemTask, sample: Source | None
+    spec: BatchSpec, item_task: ItemTask, common_source: Source | None
 ) -> None:
     """Raise an error for variables that neither the scene nor the output uses."""
     names = [*spec.variables, *(n for o in spec.overrides for n in o.variables)]
     variables = [*dict.fromkeys(names), *spec.rows[0]]
     used_names = {name for name in variables if f"{{{name}}}" in (spec.output or "")}
-    if sample is not None:
-        scene_names = set(getattr(sample, "variables", ()))
+    if common_source is not None:
+        scene_names = set(getattr(common_source, "variables", ()))
         if spec.scene is not None and scene_names.isdisjoint(spec.rows[0]):
             # `check_effects` reports variants that are all unused.
             variables = [name for name in variables if name not in spec.rows[0]]
         used_names |= scene_names
-    elif any(has_kind_suffix(path, "scene") for path in item_task.kinds):
+    elif any(has_kind_suffix(path, "scene") for path in item_task.example_paths):
         # Each holds its faults until the items are built.
         used_names |= set(variables)
     check_unused_variables(
@@ -305,20 +309,20 @@ class _ItemListBuilder:
     spec: BatchSpec
     item_task: ItemTask
     shots: Sequence[Cut]
-    sample: Source | None
+    common_source: Source | None
     overrides: OverriddenVariables
     faults: list[Fault] = field(default_factory=list)
 
     def build(self) -> tuple[Item, ...]:
-        """Return the items."""
+        """Return an item per input and row of variants; raise all faults together."""
         spec = self.spec
-        outputs = None
+        output_pattern = None
         if spec.output is not None:
-            paths = frozenset({"parent", *spec.variables})
-            outputs = OutputPattern(spec.output, spec.folder, paths)
+            folder_names = frozenset({"parent", *spec.variables})
+            output_pattern = OutputPattern(spec.output, spec.folder, folder_names)
         combinations = itertools.product(self.shots, spec.rows)
         items = [
-            self._item(number, shot, row, outputs)
+            self._item(number, shot, row, output_pattern)
             for number, (shot, row) in enumerate(combinations, 1)
         ]
         if self.faults:
@@ -330,28 +334,30 @@ class _ItemListBuilder:
         number: int,
         shot: Cut,
         row: Mapping[str, str],
-        outputs: OutputPattern | None,
+        output_pattern: OutputPattern | None,
     ) -> Item:
-        """Return the item of an input and a row of variants."""
-        spec, file, row_values = self.spec, shot.media, {**shot.names, **row}
+        """Return the item of an input and a row of variants, with its output path."""
+        spec, file, scene_values = self.spec, shot.media, {**shot.shot_values, **row}
         variables = self.overrides.values.get(file.path, {})
         file_name_parts = {name: file_name_part(value) for name, value in row.items()}
         suffix = "".join(f"_{part}" for part in file_name_parts.values())
         output_path = file.path.with_name(f"{source_stem(file.path)}{suffix}.usdc")
         if spec.cuts is not None:
-            output_path = spec.cuts.with_name(f"{shot.names['shot']}{suffix}.usdc")
-        if outputs is not None:
-            names = {**spec.variables, **variables, **input_names(file)}
-            names |= {**shot.names, **file_name_parts}
+            output_path = spec.cuts.with_name(
+                f"{shot.shot_values['shot']}{suffix}.usdc"
+            )
+        if output_pattern is not None:
+            names = {**spec.variables, **variables, **input_values(file)}
+            names |= {**shot.shot_values, **file_name_parts}
             try:
-                output_path = outputs.path(names)
+                output_path = output_pattern.path(names)
             except UnsafeNameError as error:
                 self._record_unsafe_output(shot, row, error)
-        variant = ((), row, variables, shot.shot)
-        item = Item(number, file, output_path, row_values, *variant)
+        variant_arguments = ((), row, variables, shot.shot)
+        item = Item(number, file, output_path, scene_values, *variant_arguments)
         has_scene = spec.scene is None and has_kind_suffix(file.path, "scene")
-        scene_names_output = getattr(self.sample, "output", None) is not None
-        if outputs is None and (has_scene or scene_names_output):
+        is_output_in_scene = getattr(self.common_source, "output", None) is not None
+        if output_pattern is None and (has_scene or is_output_in_scene):
             item = self.item_task.with_scene_outputs(item)
         return item
 
@@ -362,7 +368,7 @@ class _ItemListBuilder:
         spec, name = self.spec, error.name
         source: Path | None = shot.media.path
         hint = f"rename the input, or remove the name from {argument('output')}"
-        if name in shot.names:
+        if name in shot.shot_values:
             source = spec.cuts
             hint = "rename it in the edit, or write {shot}, which is always valid"
         elif name in row:

@@ -16,7 +16,7 @@ from itertools import zip_longest
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from animtool.batch.timeline import check_text
+from animtool.batch.timeline import check_timeline_file
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, excerpt
 from animtool.core.files.reading import read_input
@@ -25,23 +25,23 @@ from animtool.core.record import dataclass
 from animtool.core.timecode import nominal_rate, parse_timecode
 
 # Maximum size [bytes]; a feature film with all comments has a hundredth of it.
-MAX_BYTES = 100_000_000
+MAX_EDL_BYTES = 100_000_000
 MAX_FAULTS = 100
-MAX_FRAME = 10**9
+MAX_FRAME_NUMBER = 10**9
 # Reel names that mean black and bars.
 BLACK_REELS = {"BL", "BLACK", "BARS"}
 UNKNOWN_REEL = "AX"
-_LABEL_PATTERN = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
-_EVENT = re.compile(
+_TIME_PATTERN = r"\d{1,2}:\d\d:\d\d[:;,.]\d\d+|\d+"
+_EVENT_LINE = re.compile(
     r"(?P<number>\d+)\w?\s+(?P<reel>\S+)\s+(?P<channel>\S+)\s+(?P<edit>[A-Z]+\d*)\s+"
-    rf"(?:(?P<length>\d+)\s+)?(?P<times>(?:(?:{_LABEL_PATTERN})\s+){{3}}(?:{_LABEL_PATTERN}))\s*",
+    rf"(?:(?P<length>\d+)\s+)?(?P<times>(?:(?:{_TIME_PATTERN})\s+){{3}}(?:{_TIME_PATTERN}))\s*",
     re.IGNORECASE,
 )
 _SPEED_LINE = re.compile(
     r"M2\s+.*?\s*(?P<speed>[-+]?\d+(?:\.\d+)?)\s+\d\d:\d\d:\d\d\S*\s*"
 )
-_RATE = re.compile(r"\*?\s*(?:FPS|FRAME\s?RATE)\s*[:=]?\s*(?P<rate>[\d./]+)", re.I)
-_COMMENTS = {
+_RATE_LINE = re.compile(r"\*?\s*(?:FPS|FRAME\s?RATE)\s*[:=]?\s*(?P<rate>[\d./]+)", re.I)
+_COMMENT_PATTERNS = {
     name: re.compile(rf"\*?\s*{text}\s*:\s*(?P<value>.*\S)", re.I)
     for name, text in (
         ("name", "FROM CLIP NAME"),
@@ -49,7 +49,7 @@ _COMMENTS = {
         ("file", "(?:FROM CLIP|FROM FILE|SOURCE FILE)"),
     )
 }
-_FREEZE = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
+_FREEZE_COMMENT = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
 
 
 @dataclass(slots=True)
@@ -97,11 +97,11 @@ class Edl:
 
 def read_edl(path: Path) -> Edl:
     """Read the events of an EDL; drop-frame time codes get semicolons."""
-    check_text(path)
-    text = read_input(path, MAX_BYTES).decode("utf-8-sig", "replace")
+    check_timeline_file(path)
+    text = read_input(path, MAX_EDL_BYTES).decode("utf-8-sig", "replace")
     edl, is_drop_frame, is_edl = Edl(path), False, not text.strip()
     faults = []
-    for number, raw_line in enumerate(text.splitlines(), 1):
+    for line_number, raw_line in enumerate(text.splitlines(), 1):
         line = raw_line.strip()
         if line.startswith("TITLE:"):
             edl.title, is_edl = line[6:].strip(), True
@@ -109,15 +109,17 @@ def read_edl(path: Path) -> Edl:
             is_drop_frame = "NON" not in line.upper() and "DROP" in line.upper()
             is_edl = True
         elif line[:1].isdigit():
-            match = _EVENT.fullmatch(line)
-            if match is None:
+            event_match = _EVENT_LINE.fullmatch(line)
+            if event_match is None:
                 message = f"{excerpt(line)} is not an EDL event"
-                faults.append(Fault("BAT041", message, str(path), (number,)))
+                faults.append(Fault("BAT041", message, str(path), (line_number,)))
             else:
                 edl.events.append(
-                    _parse_event(match, number, is_drop_frame=is_drop_frame)
+                    _parse_event(event_match, line_number, is_drop_frame=is_drop_frame)
                 )
-        elif (stated_rate := _RATE.fullmatch(line)) is not None and edl.fps is None:
+        elif (
+            stated_rate := _RATE_LINE.fullmatch(line)
+        ) is not None and edl.fps is None:
             with suppress(ValueError):
                 edl.fps = parse_rate(stated_rate["rate"])
         elif edl.events:
@@ -142,18 +144,18 @@ def _parse_event(match: re.Match[str], line: int, *, is_drop_frame: bool) -> Eve
         match["reel"],
         match["channel"].upper(),
         match["edit"].upper(),
-        min(int(match["length"] or 0), MAX_FRAME),
+        min(int(match["length"] or 0), MAX_FRAME_NUMBER),
         (source_in, source_out, record_in, record_out),
     )
 
 
 def _apply_comment(event: Event, line: str) -> None:
-    """Apply a comment line to the event above it."""
+    """Set the speed, the freeze frame or a name of an event from a comment line."""
     if (speed := _SPEED_LINE.fullmatch(line)) is not None:
         event.speed = speed["speed"]
-    elif _FREEZE.match(line) is not None:
+    elif _FREEZE_COMMENT.match(line) is not None:
         event.is_freeze_frame = True
-    for name, pattern in _COMMENTS.items():
+    for name, pattern in _COMMENT_PATTERNS.items():
         if (match := pattern.fullmatch(line)) is not None:
             event.comments.setdefault(name, match["value"])
             return
@@ -182,7 +184,7 @@ class TimelineBuilder:
         self.faults: list[Fault] = []
 
     def build(self) -> tuple[Any, list[Fault]]:
-        """Return the timeline, and notices."""
+        """Return the timeline of all events, and notices; raise all faults together."""
         timeline = self.otio.schema.Timeline(self.edl.title)
         for event, belongs_to_next in _with_continuation(self.edl.events):
             times = self.event_times(event)
@@ -204,13 +206,17 @@ class TimelineBuilder:
             self.faults.append(Fault("BAT041", message, *location, hint))
             return None
         # For backward motion some systems write the last frame first.
-        first, end = sorted(frames[:2]) if _event_speed(event) < 0 else frames[:2]
-        return _EventTimes(first, end - first, frames[2], frames[3] - frames[2])
+        source_start, source_end = (
+            sorted(frames[:2]) if _event_speed(event) < 0 else frames[:2]
+        )
+        return _EventTimes(
+            source_start, source_end - source_start, frames[2], frames[3] - frames[2]
+        )
 
     def parse_frame(self, text: str) -> int:
-        """Return the frame of a time code or frame number."""
+        """Return the frame number of a time code, or of a text that is one."""
         if ":" not in text:
-            if len(text) > len(str(MAX_FRAME)):
+            if len(text) > len(str(MAX_FRAME_NUMBER)):
                 raise ValueError(f"{excerpt(text)} is not a frame")
             return int(text)
         return int(parse_timecode(text, self.fps))
@@ -262,8 +268,10 @@ class TimelineBuilder:
             stem = None if url is None else PurePosixPath(url.replace("\\", "/")).stem
             name = stem or reel or event.number
         reference = None if url is None else schema.ExternalReference(url)
-        speed, count = self.speed_and_length(event, times, name)
-        clip = schema.Clip(name, reference, self.time_range(times.source_start, count))
+        speed, frame_count = self.speed_and_length(event, times, name)
+        clip = schema.Clip(
+            name, reference, self.time_range(times.source_start, frame_count)
+        )
         if speed != 1:
             clip.effects.append(schema.LinearTimeWarp(time_scalar=float(speed)))
         return clip
@@ -272,10 +280,8 @@ class TimelineBuilder:
         self, event: Event, times: _EventTimes, name: str
     ) -> tuple[Fraction, int]:
         """Return the speed of an event and its number of frames."""
-        source_frames, record_frames = (
-            max(times.source_count, 0),
-            max(times.record_count, 0),
-        )
+        source_frames = max(times.source_count, 0)
+        record_frames = max(times.record_count, 0)
         if event.is_freeze_frame:
             return Fraction(0), record_frames or source_frames
         if event.speed is not None:
@@ -291,10 +297,8 @@ class TimelineBuilder:
                 playback_speed = exact_speed if playback_speed > 0 else -exact_speed
             return playback_speed, record_frames
         if record_frames and source_frames and record_frames != source_frames:
-            message = (
-                f"clip {excerpt(name)}: its source has {source_frames} frames, its "
-            )
-            message += f"record {record_frames}, and no speed (M2) is stated: the "
+            message = f"clip {excerpt(name)}: its source has {source_frames} frames, "
+            message += f"its record {record_frames}, and no speed (M2) is stated: the "
             message += (
                 f"{source_frames} frames of its source are used, at their own speed"
             )
@@ -304,11 +308,11 @@ class TimelineBuilder:
             )
         return Fraction(1), source_frames
 
-    def time_range(self, first: int, count: int) -> Any:
-        """Return a time range from its first frame and its number of frames."""
+    def time_range(self, first_frame: int, frame_count: int) -> Any:
+        """Return an OpenTimelineIO range of frames at the rate of the EDL."""
         rational_time, rate = self.otio.opentime.RationalTime, float(self.fps)
         return self.otio.opentime.TimeRange(
-            rational_time(first, rate), rational_time(count, rate)
+            rational_time(first_frame, rate), rational_time(frame_count, rate)
         )
 
 
@@ -322,11 +326,13 @@ def _with_continuation(events: Sequence[Event]) -> Iterator[tuple[Event, bool]]:
     Comments follow the second event and belong to both.
     """
     for event, next_event in zip_longest(events, events[1:]):
-        edit = None if next_event is None else (next_event.number, next_event.channel)
-        is_pair = edit == (event.number, event.channel)
-        if is_pair:
+        next_edit = (
+            None if next_event is None else (next_event.number, next_event.channel)
+        )
+        is_continued = next_edit == (event.number, event.channel)
+        if is_continued:
             event.comments = {**next_event.comments, **event.comments}
-        yield event, is_pair
+        yield event, is_continued
 
 
 # Channels that mean several tracks.

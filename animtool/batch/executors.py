@@ -27,7 +27,7 @@ PLUGIN_GROUP = "animtool.executors"
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Input of an executor.
+    """The items that an executor builds, and how many at once.
 
     Attributes:
         builder: Builds an item, and raises only to end its process; can be sent to
@@ -63,7 +63,7 @@ ExecutorFunction: TypeAlias = Callable[[Work], Iterator[ItemOutcome | Fault]]
 
 @dataclass(frozen=True, slots=True)
 class Executor:
-    """An entry of the table of executors.
+    """A way to build items: in this process, in several, or on a cluster.
 
     Attributes:
         about: One-line description.
@@ -81,7 +81,7 @@ class Executor:
         return cast(ExecutorFunction, load_object(self.run))
 
     def prepare(self, item_task: ItemTask) -> None:
-        """Start slow preparations before the first item."""
+        """Start slow preparations, such as a preloaded process, and return at once."""
         if self.ready:
             cast(Callable[[ItemTask], None], load_object(self.ready))(item_task)
 
@@ -133,9 +133,9 @@ def find_executor(name: str) -> Executor:
     """
     if name in EXECUTORS:
         return EXECUTORS[name]
-    points = plugin_entry_points(PLUGIN_GROUP)
-    check_known_name(name, sorted({*EXECUTORS, *points}), "executor", "BAT030")
-    return load_plugin(points[name], Executor)
+    entry_points = plugin_entry_points(PLUGIN_GROUP)
+    check_known_name(name, sorted({*EXECUTORS, *entry_points}), "executor", "BAT030")
+    return load_plugin(entry_points[name], Executor)
 
 
 def listed_executors() -> list[ListedEntry]:
@@ -144,7 +144,7 @@ def listed_executors() -> list[ListedEntry]:
     >>> [entry.name for entry in listed_executors()][:3]
     ['dask', 'processes', 'serial']
     """
-    points = plugin_entry_points(PLUGIN_GROUP)
+    entry_points = plugin_entry_points(PLUGIN_GROUP)
     return listed_entries(
-        EXECUTORS, points, find_executor, lambda entry: (True, entry.about), False
+        EXECUTORS, entry_points, find_executor, lambda entry: (True, entry.about), False
     )

@@ -1,4 +1,4 @@
-"""Reads batch files."""
+"""Reads batch files, ``*.batch.yaml``, and records every fault with its location."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.batch.schema import (
     OptionsModel,
     OverrideModel,
     RangeModel,
-    Value,
+    VariableValue,
 )
 from animtool.batch.spec import BatchSpec, Limits, Override, parse_bytes
 from animtool.batch.variants import (
@@ -36,19 +36,19 @@ from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import resolve_input
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.file.output_fields import KeyReader, option_keys
+from animtool.scene.file.output_fields import KeyReader, option_values
 from animtool.scene.sources.open import SourceOptions
 
 
-def value_text(document: Document, location: Location, value: Value) -> str:
+def value_text(document: Document, location: Location, value: VariableValue) -> str:
     """Return a value as text, with numbers spelled as in the file."""
     if isinstance(value, str):
         return value
     return document.source_text(location) or str(value).lower()
 
 
-def variables_of_document(
-    document: Document, location: Location, values: Mapping[str, Value]
+def read_variables(
+    document: Document, location: Location, values: Mapping[str, VariableValue]
 ) -> dict[str, str]:
     """Return variables as text; record faults of invalid names."""
     for name in values:
@@ -62,7 +62,7 @@ def variables_of_document(
     }
 
 
-def overrides_of_document(
+def read_overrides(
     document: Document, models: Sequence[OverrideModel], reserved_names: Collection[str]
 ) -> tuple[Override, ...]:
     """Return the overrides of a batch file; record faults of variable names.
@@ -72,7 +72,7 @@ def overrides_of_document(
     overrides = []
     for i, model in enumerate(models):
         location = ("overrides", i, "variables")
-        values = variables_of_document(document, location, model.variables)
+        values = read_variables(document, location, model.variables)
         for name in sorted(values.keys() & reserved_names):
             message = f"{name!r} already has a value for each item"
             hint = "inputs, shots and variants set it: give the variable another name"
@@ -84,7 +84,7 @@ def overrides_of_document(
 VARIANTS_LOCATION = ("variants",)
 
 
-def variants_of_document(
+def read_listed_variants(
     document: Document, variants: Any, reserved_names: Collection[str]
 ) -> Variants | None:
     """Return the variants that a batch file lists; None if they are faulty."""
@@ -108,7 +108,7 @@ class _VariantReader:
         self.document, self.reserved_names = document, reserved_names
 
     def columns(self, columns: Mapping[str, Any]) -> dict[str, list[str]]:
-        """Return the values of each column by its name."""
+        """Return the values of each column by its name; record faults of both."""
         self._check_names(VARIANTS_LOCATION, list(columns))
         return {
             name: list(self._values((*VARIANTS_LOCATION, name), entry))
@@ -150,7 +150,7 @@ class _VariantReader:
             self.document.add("BAT063", (*location, names[i]), message)
 
     def _values(self, location: Location, values: Any) -> Iterator[str]:
-        """Yield the values of a column."""
+        """Yield the values of a column: a list, a range, or a text such as ``1..4``."""
         if isinstance(values, list):
             for i in range(len(values)):
                 yield self._value((*location, i), values)
@@ -167,9 +167,9 @@ class _VariantReader:
         except ValueError as error:
             self.document.add("BAT064", location, str(error))
 
-    def _value(self, location: Location, container: Any) -> str:
+    def _value(self, location: Location, parent_value: Any) -> str:
         """Return one value of a list or a row as text."""
-        text = value_text(self.document, location, container[location[-1]])
+        text = value_text(self.document, location, parent_value[location[-1]])
         problem = value_problem(text)
         if problem is not None:
             self.document.add("BAT064", location, problem)
@@ -187,11 +187,11 @@ def load_batch(path: Path | str, *, uses_timeline: bool = False) -> BatchSpec:
         FormatError: With every fault of the file, each with line and column.
         OptionError: The project's settings are malformed.
     """
-    return batch_of_document(read_document(Path(path)), uses_timeline=uses_timeline)
+    return parse_batch(read_document(Path(path)), uses_timeline=uses_timeline)
 
 
-def batch_of_document(document: Document, *, uses_timeline: bool = False) -> BatchSpec:
-    """Return the spec of a document; see `load_batch`."""
+def parse_batch(document: Document, *, uses_timeline: bool = False) -> BatchSpec:
+    """Return the spec of a parsed batch file; see `load_batch`."""
     check_version(document, "batch")
     model = validate_document(document, BatchModel)
     spec = _BatchReader(document, model, uses_timeline=uses_timeline).spec()
@@ -209,10 +209,12 @@ class _BatchReader:
         folder = document.path.parent
         has_timeline = any(is_timeline(folder / text) for text in model.inputs)
         self.uses_timeline = uses_timeline or has_timeline or model.cut is not None
-        self.keys = KeyReader(document, project_roots(document.path), "BAT002")
+        self.reader = KeyReader(document, project_roots(document.path), "BAT002")
 
     def spec(self) -> BatchSpec:
-        model, path, read_file = self.model, self.document.path, self.keys.read_file
+        model = self.model
+        path = self.document.path
+        read_file = self.reader.read_file
         if model.scene is not None and model.options is not None:
             message = "the batch has both a scene and options"
             hint = "move the options into the scene's output"
@@ -230,7 +232,7 @@ class _BatchReader:
         columns = () if variants is None else variants.names
         self._check_output_names(columns)
         memory_key = ("limits", "memory")
-        memory = self.keys.parse_value(memory_key, model.limits.memory, parse_bytes)
+        memory = self.reader.parse_value(memory_key, model.limits.memory, parse_bytes)
         reserved_names = {*self._reserved_names(), *columns}
         return BatchSpec(
             tuple(model.inputs),
@@ -238,7 +240,7 @@ class _BatchReader:
             path.name.rpartition(".batch.")[0] or path.stem,
             tuple(model.exclude),
             None if model.scene is None else read_file(("scene",), model.scene),
-            variables_of_document(self.document, ("variables",), model.variables),
+            read_variables(self.document, ("variables",), model.variables),
             self._options(model.options or OptionsModel()),
             model.output,
             Limits(model.limits.seconds, memory),
@@ -247,15 +249,15 @@ class _BatchReader:
             None if model.cut is None else read_file(("cut",), model.cut),
             model.handles,
             variants,
-            self.keys.roots,
-            overrides_of_document(self.document, model.overrides, reserved_names),
+            self.reader.roots,
+            read_overrides(self.document, model.overrides, reserved_names),
             None,
             None if model.cut_start is None else int(model.cut_start),
             self._first_timecode(),
         )
 
     def _reserved_names(self) -> set[str]:
-        """Return the names that inputs and shots define."""
+        """Return the names that inputs and shots define, which variables cannot use."""
         return {*INPUT_NAMES, *(SHOT_NAMES if self.uses_timeline else ())}
 
     def _first_timecode(self) -> str | None:
@@ -276,10 +278,10 @@ class _BatchReader:
             return None
         if isinstance(variants, str):
             location = ("variants",)
-            path = resolve_input(self.document, location, variants, self.keys.roots)
+            path = resolve_input(self.document, location, variants, self.reader.roots)
             return None if path is None else read_variants(path)
         reserved_names = {*self._reserved_names(), *self.model.variables}
-        return variants_of_document(self.document, variants, reserved_names)
+        return read_listed_variants(self.document, variants, reserved_names)
 
     def _check_output_names(self, columns: Sequence[str]) -> None:
         """Record a fault for each unknown name in braces in the output."""
@@ -292,6 +294,6 @@ class _BatchReader:
 
     def _options(self, model: OptionsModel) -> BakeOptions:
         location: Location = ("options",)
-        source = option_keys(SourceOptions, model, "batch", location, self.keys)
-        bake = option_keys(BakeOptions, model, "batch", location, self.keys)
+        source = option_values(SourceOptions, model, "batch", location, self.reader)
+        bake = option_values(BakeOptions, model, "batch", location, self.reader)
         return BakeOptions(source=SourceOptions(**source), **bake)

@@ -41,9 +41,9 @@ SCENE_SUFFIXES = tuple(
 
 def cuts_of(spec: BatchSpec) -> CutList:
     """Return the media of the items: clips of a timeline, or the input files."""
-    cuts, is_excluded, unmatched = _matched_inputs(spec)
+    input_files, is_excluded, unmatched_warnings = _matched_inputs(spec)
     if spec.cuts is None:
-        return CutList([Cut(file) for file in cuts], unmatched)
+        return CutList([Cut(file) for file in input_files], unmatched_warnings)
     options, start = spec.options, spec.options.start
     fps = options.fps
     if spec.scene is not None:
@@ -66,8 +66,8 @@ def cuts_of(spec: BatchSpec) -> CutList:
         spec.first_timecode,
         spec.fps or fps,
     )
-    listed_cuts = read_cuts(spec.cuts, cuts, cut_options, is_excluded)
-    return replace(listed_cuts, notices=[*listed_cuts.notices, *unmatched])
+    cut_list = read_cuts(spec.cuts, input_files, cut_options, is_excluded)
+    return replace(cut_list, notices=[*cut_list.notices, *unmatched_warnings])
 
 
 def _with_rate(spec: BatchSpec) -> BatchSpec:
@@ -117,32 +117,36 @@ def _matched_inputs(
     There is a warning for each entry that matches no file.
     """
     suffixes = input_suffixes(spec)
-    resolve = PathResolver()
+    resolve_path = PathResolver()
     excluded_paths = {
-        resolve(file.path)
-        for text in spec.exclude
-        for file in _match_files(spec.folder, text, suffixes)
+        resolve_path(file.path)
+        for pattern in spec.exclude
+        for file in _match_files(spec.folder, pattern, suffixes)
     }
     files: dict[Path, MatchedFile] = {}
-    unmatched = []
-    for i, text in enumerate(spec.inputs):
-        matched_files = _match_files(spec.folder, text, suffixes)
+    unmatched_warnings = []
+    for i, pattern in enumerate(spec.inputs):
+        matched_files = _match_files(spec.folder, pattern, suffixes)
         remaining_files = {
             path: file
             for file in matched_files
-            if (path := resolve(file.path)) not in excluded_paths
+            if (path := resolve_path(file.path)) not in excluded_paths
         }
-        if not matched_files or _is_missing(text, remaining_files):
-            unmatched.append(_unmatched_fault(spec, "inputs", i, suffixes))
+        if not matched_files or _is_missing(pattern, remaining_files):
+            unmatched_warnings.append(_unmatched_fault(spec, "inputs", i, suffixes))
         files = {**remaining_files, **files}
     # Globs that match nothing yet are usual among those that exclude.
-    unmatched += [
+    unmatched_warnings += [
         _unmatched_fault(spec, "exclude", i, suffixes)
-        for i, text in enumerate(spec.exclude)
-        if not is_pattern(text) and not exists(spec.folder / text)
+        for i, pattern in enumerate(spec.exclude)
+        if not is_pattern(pattern) and not exists(spec.folder / pattern)
     ]
     sorted_files = [files[path] for path in sorted(files, key=os.fspath)]
-    return sorted_files, lambda path: resolve(path) in excluded_paths, unmatched
+    return (
+        sorted_files,
+        lambda path: resolve_path(path) in excluded_paths,
+        unmatched_warnings,
+    )
 
 
 def input_faults(spec: BatchSpec, document: Document) -> list[Fault]:
@@ -183,15 +187,15 @@ def _unmatched_fault(
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():
         hint = f"folders are searched for {', '.join(suffixes)}"
-    where = None if path is None else f"{key}[{index}]"
+    key_text = None if path is None else f"{key}[{index}]"
     message = f"no file matches {text!r}"
     if not is_pattern(text) and not (spec.folder / text).is_dir():
         message = f"{text!r} does not exist"
-    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=where)
+    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=key_text)
 
 
 def missing_inputs_error(spec: BatchSpec) -> NoMatchError:
-    """Return the error of a batch without items."""
+    """Return the error of a batch without items (BAT005), with a hint."""
     if spec.cuts is not None:
         message = "has no clip with media"
         hint = "a clip without media uses the INPUT with its name: pass takes too"
@@ -199,8 +203,8 @@ def missing_inputs_error(spec: BatchSpec) -> NoMatchError:
     suffixes = input_suffixes(spec)
     message = f"no input in {listed(spec.inputs) or 'nothing'}"
     hint = f"folders are searched for {', '.join(suffixes)}"
-    missing = nearest_file(Path(spec.inputs[0]), spec.folder) if spec.inputs else None
-    hint = _other_suffix_hint(spec, suffixes) or missing or hint
+    file_hint = nearest_file(Path(spec.inputs[0]), spec.folder) if spec.inputs else None
+    hint = _other_suffix_hint(spec, suffixes) or file_hint or hint
     return NoMatchError(Fault("BAT005", message, spec.path_text, (), hint))
 
 
@@ -233,7 +237,7 @@ def _match_files(
 
 @dataclass(frozen=True, slots=True)
 class OverriddenVariables:
-    """Values of overridden variables by input of a batch."""
+    """Variables that a batch overrides for some of its inputs."""
 
     values: Mapping[Path, Mapping[str, str]]  # by file path
     notices: tuple[Fault, ...]  # warnings about overrides that match no input
@@ -243,14 +247,14 @@ def resolve_overrides(
     spec: BatchSpec, files: Sequence[MatchedFile]
 ) -> OverriddenVariables:
     """Return the overridden variables of the inputs of a batch; the last match wins."""
-    resolve = PathResolver()
-    path_by_location = {resolve(file.path): file.path for file in files}
+    resolve_path = PathResolver()
+    path_by_location = {resolve_path(file.path): file.path for file in files}
     suffixes = input_suffixes(spec)
     values: dict[Path, dict[str, str]] = {}
     notices = []
     for index, override in enumerate(spec.overrides):
         matched_locations = {
-            resolve(file.path)
+            resolve_path(file.path)
             for text in override.inputs
             for file in _match_files(spec.folder, text, suffixes)
         }

@@ -1,4 +1,4 @@
-"""Items of a batch: their names, their outputs, and the bake of one item.
+"""Items of a batch: values of their patterns, their outputs, and their bake.
 
 References:
     Open Job Description, "pathmapping-1.0",
@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Any, cast
 from animtool.batch.manifest import digest_of
 from animtool.batch.records import (
     RecordError,
-    json_of_file,
+    checked_object,
     list_in,
-    object_of,
+    read_json,
     text_in,
 )
 from animtool.batch.spec import BatchSpec, relative_name
@@ -49,7 +49,7 @@ INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 _INPUT_FOLDERS = frozenset({"input", "folder"})
 
 
-def input_names(file: MatchedFile) -> dict[str, str]:
+def input_values(input_file: MatchedFile) -> dict[str, str]:
     """Return the names that every input defines, with their values.
 
     ``input`` is the path of the input, ``folder`` that of its folder, ``name`` its
@@ -57,16 +57,16 @@ def input_names(file: MatchedFile) -> dict[str, str]:
     the searched folder and the input.
 
     >>> from pathlib import Path
-    >>> names = input_names(MatchedFile(Path("takes/a/walk.clip.yaml"), Path("takes")))
+    >>> names = input_values(MatchedFile(Path("takes/a/walk.clip.yaml"), Path("takes")))
     >>> names["name"], names["parent"], names["stem"]
     ('walk.clip.yaml', 'a', 'walk')
     """
-    path = file.path
+    path = input_file.path
     return {
         "input": path.absolute().as_posix(),
         "folder": path.parent.absolute().as_posix(),
         "name": path.name,
-        "parent": path.parent.relative_to(file.search_folder).as_posix(),
+        "parent": path.parent.relative_to(input_file.search_folder).as_posix(),
         "stem": source_stem(path),
     }
 
@@ -89,13 +89,13 @@ def pattern_problems(
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
     """
     try:
-        fields = [literal[1:] for literal in Formatter().parse(pattern)]
+        name_fields = [part[1:] for part in Formatter().parse(pattern)]
     except ValueError as error:
         message = f"{pattern!r} is not a valid pattern: {error}"
         yield message, "write {{ for a literal brace"
         return
     names = [*INPUT_NAMES, *variables]
-    for name, format_spec, conversion in fields:
+    for name, format_spec, conversion in name_fields:
         if name is not None and (format_spec or conversion or name not in names):
             quoted_name = f"{{{name}}}" if name or not format_spec else "{}"
             yield f"unknown name in {pattern!r}: {quoted_name}", name_hint(name, names)
@@ -113,12 +113,14 @@ def output_root(pattern: str) -> PurePath:
 
 @dataclass(slots=True)
 class OutputPattern:
-    """A pattern of output paths, all of which are inside its folder."""
+    """A pattern of output paths; values of names cannot lead out of its folder."""
 
     pattern: str  # pattern of the files to write
     folder: Path  # base folder of relative patterns
-    paths: frozenset[str]  # names whose values may contain folders, as in ``a/b``
-    _is_inside: dict[tuple[Path, Path], bool] = field(default_factory=dict)
+    folder_names: frozenset[
+        str
+    ]  # names whose values may contain folders, as in ``a/b``
+    _inside_by_folders: dict[tuple[Path, Path], bool] = field(default_factory=dict)
 
     def path(self, values: Mapping[str, str]) -> Path:
         """Return the output path for the values of the names in the pattern."""
@@ -143,12 +145,12 @@ class OutputPattern:
         """Raise an error for path parts that are not single legal names."""
         for name in names:
             value = values[name]
-            bad_character = re.search(r"[\x00-\x1f\x7f\\]", value)
-            if name not in self.paths:
-                bad_character = bad_character or re.search("/", value)
-            if bad_character is not None:
+            bad_match = re.search(r"[\x00-\x1f\x7f\\]", value)
+            if name not in self.folder_names:
+                bad_match = bad_match or re.search("/", value)
+            if bad_match is not None:
                 message = f"{{{name}}} is {excerpt(value)}, which has "
-                raise UnsafeNameError(name, f"{message}{bad_character[0]!r}")
+                raise UnsafeNameError(name, f"{message}{bad_match[0]!r}")
         for part in component.split("/"):
             problem = None if part == "." else name_problem(part)
             if problem is not None:
@@ -158,12 +160,12 @@ class OutputPattern:
 
     def _stays_inside(self, folder: Path, root: Path) -> bool:
         key = folder, root
-        if key not in self._is_inside:
+        if key not in self._inside_by_folders:
             try:
-                self._is_inside[key] = is_inside(folder, root)
+                self._inside_by_folders[key] = is_inside(folder, root)
             except OSError:
-                self._is_inside[key] = False
-        return self._is_inside[key]
+                self._inside_by_folders[key] = False
+        return self._inside_by_folders[key]
 
 
 class UnsafeNameError(ValueError):
@@ -185,7 +187,7 @@ _PATH_CLASSES: dict[str, type[PurePath]] = {
 
 
 # A rule has some hundred bytes, and a farm has a few per disk.
-MAX_BYTES = 4_000_000
+MAX_RULES_BYTES = 4_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,23 +198,23 @@ class PathRule:
     destination: str  # on this machine
 
 
-def read_rules(path: Path) -> list[PathRule]:
+def read_path_rules(path: Path) -> list[PathRule]:
     """Return the path rules of a file; empty if the file has none."""
     try:
-        record = json_of_file(path, MAX_BYTES)
+        record = read_json(path, MAX_RULES_BYTES)
         key = "path_mapping_rules"
         rules = list_in(record, key) if key in record else ()
-        return [_parse_rule(object_of(rule)) for rule in rules]
+        return [_parse_rule(checked_object(rule)) for rule in rules]
     except RecordError as error:
         message = f"is not a file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
 
 
 def _parse_rule(record: Mapping[str, Any]) -> PathRule:
-    kind = text_in(record, "source_path_format")
-    if kind not in _PATH_CLASSES:
-        raise RecordError(f"unknown 'source_path_format' {excerpt(kind)}")
-    source = _PATH_CLASSES[kind](text_in(record, "source_path"))
+    path_format = text_in(record, "source_path_format")
+    if path_format not in _PATH_CLASSES:
+        raise RecordError(f"unknown 'source_path_format' {excerpt(path_format)}")
+    source = _PATH_CLASSES[path_format](text_in(record, "source_path"))
     return PathRule(source, text_in(record, "destination_path"))
 
 
@@ -233,7 +235,7 @@ def map_path(text: str, rules: Sequence[PathRule]) -> str:
     return text
 
 
-def map_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
+def map_batch_paths(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
     """Return a batch with its inputs and outputs mapped to local paths.
 
     Paths in scenes and options are not changed: they work if they are relative.
@@ -260,10 +262,10 @@ def map_spec(spec: BatchSpec, rules: Sequence[PathRule]) -> BatchSpec:
     )
 
 
-def values_text(values: Mapping[str, str]) -> str:
+def variant_text(values: Mapping[str, str]) -> str:
     """Return the values of a variant as a suffix for the name of its input.
 
-    >>> values_text({"k": "2", "s": "0.5"})
+    >>> variant_text({"k": "2", "s": "0.5"})
     ' (k=2, s=0.5)'
     """
     pairs_text = ", ".join(f"{name}={value}" for name, value in values.items())
@@ -278,31 +280,31 @@ class Item:
     file: MatchedFile  # its input
     output: Path  # the file to write; the first of several
     # Values of names in its scene, in addition to those of its input.
-    names: Mapping[str, str] = field(default_factory=dict)
+    scene_values: Mapping[str, str] = field(default_factory=dict)
     # Every file to write, if its scene names several outputs or one that is not USD;
     # empty if they follow from ``output``.
     files: tuple[Path, ...] = ()
     # Values of ``names`` that distinguish it from other variants.
-    values: Mapping[str, str] = field(default_factory=dict)
+    variant_values: Mapping[str, str] = field(default_factory=dict)
     # Values from overrides of the batch, replacing common variables.
     variables: Mapping[str, str] = field(default_factory=dict)
     shot: Shot | None = None  # shot of a timeline clip; None for a plain file
 
     @property
     def label(self) -> str:
-        """Input, shot and variant as text."""
+        """Input, shot and variant as text for messages, such as ``a.bvh (k=2)``."""
         shot = {} if self.shot is None else {"shot": self.shot.name}
-        return f"{self.file.path}{values_text({**shot, **self.values})}"
+        return f"{self.file.path}{variant_text({**shot, **self.variant_values})}"
 
     @property
     def folders(self) -> list[Path]:
-        """Folders of the item's outputs."""
+        """Distinct folders of the item's outputs."""
         return [*dict.fromkeys(path.parent for path in (self.output, *self.files))]
 
 
 @dataclass(frozen=True, slots=True)
 class ItemTask:
-    """Settings by which items are built."""
+    """How items are built: a scene or bake options, and values of variables."""
 
     # Scene to apply to each input; None bakes the input itself.
     scene: Path | None = None
@@ -310,7 +312,7 @@ class ItemTask:
     variables: Mapping[str, str] = field(default_factory=dict)
     # Bake options without a scene.
     options: BakeOptions = field(default_factory=BakeOptions)
-    kinds: tuple[Path, ...] = ()  # one input of each kind
+    example_paths: tuple[Path, ...] = ()  # one input of each kind
     # Options and their digest by suffix, on which alone they depend.
     _options_by_suffix: dict[str, BakeOptions] = field(
         default_factory=dict, compare=False, repr=False
@@ -319,22 +321,24 @@ class ItemTask:
         default_factory=dict, compare=False, repr=False
     )
 
-    def names(self, item: Item) -> dict[str, str]:
-        """Return the values of the names that a scene can use."""
-        names = input_names(item.file)
+    def variable_values(self, item: Item) -> dict[str, str]:
+        """Return the values of ``${name}`` in the scene of an item."""
+        names = input_values(item.file)
         if self.scene is None:
             # A scene used as an input takes no input.
             del names["input"]
-        return {**names, **item.names, **self.variables, **item.variables}
+        return {**names, **item.scene_values, **self.variables, **item.variables}
 
     def source(self, item: Item) -> Source:
-        """Return the source: a loaded scene, or a file."""
+        """Return the loaded scene of an item, or its input file if it has no scene."""
         path = item.file.path if self.scene is None else self.scene
         if not has_kind_suffix(path, "scene"):
             return path
         from animtool.scene.file.read import load_scene
 
-        scene = load_scene(path, self.names(item), parts=item.names.keys())
+        scene = load_scene(
+            path, self.variable_values(item), parts=item.scene_values.keys()
+        )
         if item.shot is not None:
             scene = scene.with_shot(item.shot)
         for output in scene.outputs:
@@ -394,37 +398,39 @@ class ItemTask:
 
     def _options(self, path: Path) -> BakeOptions:
         """Return the options that apply to a file's format."""
-        kind = path.suffix.lower()
-        if kind not in self._options_by_suffix:
-            source_options = fitting_options(self.options.source, path, self.kinds)
+        suffix = path.suffix.lower()
+        if suffix not in self._options_by_suffix:
+            source_options = fitting_options(
+                self.options.source, path, self.example_paths
+            )
             options = replace(self.options, source=source_options, overwrite=True)
-            self._options_by_suffix[kind] = options
-        return self._options_by_suffix[kind]
+            self._options_by_suffix[suffix] = options
+        return self._options_by_suffix[suffix]
 
-    def description(self, item: Item, root: Path) -> dict[str, object]:
+    def settings(self, item: Item, root: Path) -> dict[str, object]:
         """Return all settings, except files, that affect the result of an item."""
-        result: dict[str, object] = {"input": relative_name(item.file.path, root)}
+        settings: dict[str, object] = {"input": relative_name(item.file.path, root)}
         if self.scene is not None or has_kind_suffix(item.file.path, "scene"):
-            names = self.names(item)
+            names = self.variable_values(item)
             for key in names.keys() & {"input", "folder"}:
                 names[key] = relative_name(Path(names[key]), root)
-            result["variables"] = names
+            settings["variables"] = names
         if item.shot is not None:
             shot = plain_value(item.shot)
-            result["shot"] = {name: str(value) for name, value in shot.items()}
+            settings["shot"] = {name: str(value) for name, value in shot.items()}
         if self.scene is not None:
-            result["scene"] = relative_name(self.scene, root)
-            result["strict"] = self.options.strict
+            settings["scene"] = relative_name(self.scene, root)
+            settings["strict"] = self.options.strict
         else:
-            result["options"] = self._digest(item.file.path, root)
-        return result
+            settings["options"] = self._digest(item.file.path, root)
+        return settings
 
     def _digest(self, path: Path, root: Path) -> str:
-        kind = path.suffix.lower()
-        if kind not in self._digest_by_suffix:
+        suffix = path.suffix.lower()
+        if suffix not in self._digest_by_suffix:
             values = _to_json(self._options(path), root)
-            self._digest_by_suffix[kind] = digest_of(values)
-        return self._digest_by_suffix[kind]
+            self._digest_by_suffix[suffix] = digest_of(values)
+        return self._digest_by_suffix[suffix]
 
 
 def _to_json(value: object, root: Path) -> object:

@@ -29,7 +29,7 @@ from animtool.batch.records import (
     LineWriter,
     RecordError,
     integer_in,
-    json_of_file,
+    read_json,
     text_in,
 )
 from animtool.batch.spec import path_of_name
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 
 FAILURES_HEADER = {"failures": "animtool/1"}
 # Maximum length of a failure message.
-MAX_MESSAGE = 10_000
+MAX_REASON_LENGTH = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +56,7 @@ class Failures:
     # Failure of each item, by key.
     reasons: dict[str, str] = field(default_factory=dict)
     length: int = 0  # length of the readable part [bytes]
-    damaged: tuple[Fault, ...] = ()  # warnings about unusable lines
+    damage_warnings: tuple[Fault, ...] = ()  # warnings about unusable lines
 
 
 def read_failures(path: Path) -> Failures:
@@ -66,7 +66,7 @@ def read_failures(path: Path) -> Failures:
         try:
             reasons_by_item[text_in(line, "item")] = text_in(line, "why")
         except RecordError as error:
-            reader.damaged_lines[reader.number] = str(error)
+            reader.damaged_lines[reader.line_number] = str(error)
     return Failures(reasons_by_item, reader.length, tuple(reader.notices()))
 
 
@@ -83,7 +83,7 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
 
 
 def _failure_line(key: str, reason: str) -> dict[str, str]:
-    return {"item": key, "why": reason.replace("\0", "\\0")[:MAX_MESSAGE]}
+    return {"item": key, "why": reason.replace("\0", "\\0")[:MAX_REASON_LENGTH]}
 
 
 # A run of some items briefly takes the batch's lock to check that it is free.
@@ -95,30 +95,30 @@ MAX_OWNER_BYTES = 4096
 
 @dataclass(slots=True)
 class History:
-    """Results of the earlier runs of a batch."""
+    """Built items and failures that earlier runs of a batch recorded."""
 
     manifest: Manifest = field(default_factory=Manifest)  # built by earlier runs
     # Failures of items that were not built since, by key.
-    failed: dict[str, str] = field(default_factory=dict)
+    failure_reasons: dict[str, str] = field(default_factory=dict)
     # Warnings about unusable lines.
-    damaged: list[Fault] = field(default_factory=list)
+    damage_warnings: list[Fault] = field(default_factory=list)
 
 
 @dataclass(frozen=True, slots=True)
 class _RecordFiles:
-    """The record files of a full batch or of a part of its items."""
+    """Paths of the records of a batch, or of a run of some of its items."""
 
     folder: Path
     name: str
     part: str = ""
 
     @property
-    def parts(self) -> Path:
+    def parts_folder(self) -> Path:
         return self.folder / f"batch-{self.name}.d"
 
     def record_path(self, suffix: str) -> Path:
         if self.part:
-            return self.parts / f"{self.part}{suffix}"
+            return self.parts_folder / f"{self.part}{suffix}"
         return self.folder / f"batch-{self.name}{suffix}"
 
     def records(self) -> tuple[Path, Path]:
@@ -129,12 +129,12 @@ class _RecordFiles:
         return _RecordFiles(self.folder, self.name)
 
     def part_files(self) -> list[_RecordFiles]:
-        """Return the record files of all parts of the batch."""
-        stems = sorted(path.stem for path in self.parts.glob("*.lock"))
+        """Return the record files of every run of some items, sorted by name."""
+        stems = sorted(path.stem for path in self.parts_folder.glob("*.lock"))
         return [_RecordFiles(self.folder, self.name, part) for part in stems]
 
     def overlaps(self, other: _RecordFiles) -> bool:
-        """Return whether two parts have items in common."""
+        """Return whether the item ranges of two parts have a number in common."""
         ranges = [_PART_NAME.fullmatch(files.part) for files in (self, other)]
         if not all(ranges):
             return False
@@ -145,12 +145,12 @@ class _RecordFiles:
 
 
 def read_history(folder: Path, name: str) -> History:
-    """Return the results of earlier runs of a batch and of its parts."""
-    return _read(_RecordFiles(folder, name))[0]
+    """Return what earlier runs of a batch, or of some of its items, recorded."""
+    return _read_records(_RecordFiles(folder, name))[0]
 
 
-def _read(files: _RecordFiles) -> tuple[History, Manifest, int]:
-    """Return the results of earlier runs, and the records to which a run appends.
+def _read_records(files: _RecordFiles) -> tuple[History, Manifest, int]:
+    """Return the history of a batch, and the state of the files to append to.
 
     The latter are the manifest in ``files``, and the length of their failures [bytes].
     """
@@ -160,8 +160,11 @@ def _read(files: _RecordFiles) -> tuple[History, Manifest, int]:
         manifest_path, failures_path = source.records()
         manifest, failures = read_manifest(manifest_path), read_failures(failures_path)
         history.manifest.merge(manifest)
-        history.failed |= failures.reasons
-        history.damaged += [*manifest.damaged, *failures.damaged]
+        history.failure_reasons |= failures.reasons
+        history.damage_warnings += [
+            *manifest.damage_warnings,
+            *failures.damage_warnings,
+        ]
         if source == files:
             local_manifest, failures_length = manifest, failures.length
     return history, local_manifest, failures_length
@@ -177,65 +180,67 @@ class Ledger:
 
     def __init__(self, files: _RecordFiles, start_time_ns: int) -> None:
         self.start_time_ns, self._files = start_time_ns, files
-        self.history, local_manifest, self._failures_length = _read(files)
+        self.history, local_manifest, self._failures_length = _read_records(files)
         # Damaged lines are reported once.
-        self._has_changes = bool(self.history.damaged)
+        self._has_changes = bool(self.history.damage_warnings)
         self._exit_stack = ExitStack()
         writer = ManifestWriter(files.record_path(".jsonl"), local_manifest)
         self._writer = self._exit_stack.enter_context(writer)
 
-    def claim(self, names: Iterable[str]) -> None:
-        """Record the files that are about to be written."""
-        new_names = [name for name in names if name not in self.history.manifest.known]
+    def add_names(self, names: Iterable[str]) -> None:
+        """Record names of files that a run is about to write, and may replace later."""
+        new_names = [
+            name for name in names if name not in self.history.manifest.known_names
+        ]
         if new_names:
-            self._writer.claim(new_names)
+            self._writer.add_names(new_names)
             self._has_changes = True
-            self.history.manifest.known.update(new_names)
+            self.history.manifest.known_names.update(new_names)
 
     def add(self, record: ItemRecord) -> None:
         """Record a built item."""
         self._writer.add(record)
         self._has_changes = True
         self.history.manifest.add(record)
-        self.history.failed.pop(record.key, None)
+        self.history.failure_reasons.pop(record.key, None)
 
-    def failed(self, key: str, reason: str) -> None:
+    def add_failure(self, key: str, reason: str) -> None:
         """Record a failed item and the reason."""
         path = self._files.record_path(".failed.jsonl")
         self._has_changes = True
         with LineWriter(path, FAILURES_HEADER, self._failures_length) as writer:
             writer.write([_failure_line(key, reason)])
             self._failures_length = writer.length
-        self.history.failed[key] = reason
+        self.history.failure_reasons[key] = reason
 
     def close(self) -> None:
         """Close the files without rewriting them."""
         self._exit_stack.close()
 
-    def merge_records(self, keep: Callable[[ItemRecord], bool]) -> None:
+    def merge_records(self, should_keep: Callable[[ItemRecord], bool]) -> None:
         """Rewrite the records of the full batch, merged with those of parts."""
         self.close()
         if self._files.part:
             return
-        part_records = [path for f in self._files.part_files() for path in f.records()]
-        if not (self._has_changes or any(path.exists() for path in part_records)):
+        part_paths = [path for f in self._files.part_files() for path in f.records()]
+        if not (self._has_changes or any(path.exists() for path in part_paths)):
             return
         manifest = self.history.manifest
-        kept_records = [item for item in manifest.items.values() if keep(item)]
+        kept_records = [item for item in manifest.items.values() if should_keep(item)]
         recorded_names = {
             output.path for item in kept_records for output in item.outputs
         }
         root = self._files.folder.parent
         known_names = [
             name
-            for name in sorted(manifest.known | recorded_names)
+            for name in sorted(manifest.known_names | recorded_names)
             if name in recorded_names
             or FileState.of(path_of_name(name, root)) is not None
         ]
         manifest_path, failures_path = self._files.records()
         rewrite_manifest(manifest_path, kept_records, known_names)
-        rewrite_failures(failures_path, self.history.failed)
-        for path in part_records:
+        rewrite_failures(failures_path, self.history.failure_reasons)
+        for path in part_paths:
             path.unlink(missing_ok=True)
 
 
@@ -274,7 +279,7 @@ def _lock(locks: ExitStack, files: _RecordFiles, timeout: float) -> None:
         lock: FileLock = FileLock(path)
         locks.enter_context(lock.acquire(timeout=timeout))
     except Timeout as error:
-        message = f"another run of this batch is in progress: {_owner(files)}"
+        message = f"another run of this batch is in progress: {_owner_text(files)}"
         hint = "wait until it ends, or stop it"
         raise LockedError(Fault("BAT010", message, str(path), (), hint)) from error
     except (OSError, NotImplementedError) as error:
@@ -294,24 +299,24 @@ def _write_owner(files: _RecordFiles) -> int:
     for name in ("O_NOFOLLOW", "O_NONBLOCK"):
         flags |= getattr(os, name, 0)
     try:
-        handle = os.open(path, flags, 0o666)
+        descriptor = os.open(path, flags, 0o666)
         try:
-            os.write(handle, owner.encode())
-            return os.fstat(handle).st_mtime_ns
+            os.write(descriptor, owner.encode())
+            return os.fstat(descriptor).st_mtime_ns
         finally:
-            os.close(handle)
+            os.close(descriptor)
     except OSError as error:
         fault = output_error(path, error).faults[0]
         raise OutputError(Fault("BAT012", fault.message, str(path))) from error
 
 
-def _owner(files: _RecordFiles) -> str:
+def _owner_text(files: _RecordFiles) -> str:
     """Return the process that owns a run as text, or "of an unknown process"."""
     import platform
 
     unknown_text = "of an unknown process"
     try:
-        owner = json_of_file(files.record_path(".owner"), MAX_OWNER_BYTES)
+        owner = read_json(files.record_path(".owner"), MAX_OWNER_BYTES)
         process, host = integer_in(owner, "process", 1, 2**31), text_in(owner, "host")
     except RecordError:
         return unknown_text

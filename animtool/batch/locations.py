@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import Any
 
 from animtool.batch.spec import BatchSpec
 from animtool.batch.variants import translate_range
@@ -27,8 +26,8 @@ def variable_fault(
     if table_path is not None:
         return Fault(code, message, str(table_path), (1,), hint, where=name)
     if spec.path is None:
-        where = argument("vary" if is_variant else "variables")
-        return Fault(code, f"{where}: {message}", hint=hint)
+        argument_text = argument("vary" if is_variant else "variables")
+        return Fault(code, f"{argument_text}: {message}", hint=hint)
     document = read_document(spec.path)
     values = document.value.get(key)
     has_rows = isinstance(values, list)
@@ -40,7 +39,7 @@ def variable_fault(
 
 @contextmanager
 def locate_value_faults(spec: BatchSpec) -> Iterator[None]:
-    """In a block, locate faults of values that the batch sets in the batch."""
+    """Relocate faults raised in a block to the batch that sets the faulty values."""
     try:
         yield
     except FormatError as error:
@@ -48,7 +47,9 @@ def locate_value_faults(spec: BatchSpec) -> Iterator[None]:
 
 
 def _locate_faults(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
-    """Return the faults of a scene; those of values from the batch located there."""
+    """Return faults of a scene, moved to the batch for values from there."""
+    from animtool.documents.placeholders import value_at  # loads pydantic
+
     values = {**spec.variables, **spec.rows[0]}
     documents: dict[str, Document] = {}
     located_faults = []
@@ -58,7 +59,9 @@ def _locate_faults(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
             path = fault.path
             if path not in documents:
                 documents[path] = read_document(Path(path))
-            text = _value_at(documents[path].value, fault.where)
+            text = None
+            with suppress(KeyError, IndexError, TypeError):
+                text = value_at(documents[path].value, parse_location(fault.where))
             name = next((n for n in values if text == f"${{{n}}}"), None)
         if name is None:
             located_faults.append(fault)
@@ -71,13 +74,3 @@ def _locate_faults(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
             hint = f"for the numbers {numbers} write {suggested_range}"
         located_faults.append(variable_fault(spec, name, fault.code, message, hint))
     return located_faults
-
-
-def _value_at(value: Any, where: str) -> Any:
-    """Return the value at a location of a document; None if there is none."""
-    for step in parse_location(where):
-        try:
-            value = value[step]
-        except (KeyError, IndexError, TypeError):
-            return None
-    return value

@@ -20,10 +20,10 @@ from animtool.batch.records import (
     LineReader,
     LineWriter,
     RecordError,
+    checked_object,
     integer_in,
     list_in,
     number_in,
-    object_of,
     text_in,
     texts_in,
 )
@@ -35,20 +35,20 @@ from animtool.core.values import template_values
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 
 # Limits of digests and clock values.
-MAX_DIGEST = 200
-MAX_CLOCK = 2**63
+MAX_DIGEST_LENGTH = 200
+MAX_CLOCK_NS = 2**63
 
 
 @dataclass(frozen=True, slots=True)
 class FileRecord:
-    """The recorded state of a file."""
+    """Size, time, inode and digest of a file when an item was built."""
 
     path: str  # relative to the folder of all outputs if inside it
     state: FileState | None  # None if the file was missing
     sha256: str = ""  # digest of its content; empty if missing or a folder
 
     def as_dict(self) -> dict[str, object]:
-        """Return the record as JSON values."""
+        """Return the record as JSON values, the input of `from_dict`."""
         if self.state is None:
             return {"path": self.path, "absent": True}
         return {
@@ -69,15 +69,15 @@ class FileRecord:
             return cls(path, None)
         state = FileState(
             integer_in(values, "size"),
-            integer_in(values, "changed", -MAX_CLOCK, MAX_CLOCK),
+            integer_in(values, "changed", -MAX_CLOCK_NS, MAX_CLOCK_NS),
             integer_in(values, "inode"),
         )
-        return cls(path, state, text_in(values, "sha256", MAX_DIGEST))
+        return cls(path, state, text_in(values, "sha256", MAX_DIGEST_LENGTH))
 
 
 @dataclass(frozen=True, slots=True)
 class ItemRecord:
-    """The record of a built item."""
+    """What an item was built from and wrote, to decide whether it is up to date."""
 
     key: str  # its output, relative like file paths
     settings_digest: str  # digest of all settings except files
@@ -89,13 +89,13 @@ class ItemRecord:
     written_at: int
     scores: tuple[PassScores, ...] = ()  # scores of its passes
 
-    def as_dict(self, numbers: Mapping[FileRecord, int]) -> dict[str, object]:
+    def as_dict(self, file_numbers: Mapping[FileRecord, int]) -> dict[str, object]:
         """Return the record as JSON values that refer to files by number."""
         return {
             "item": self.key,
             "how": self.settings_digest,
             "versions": self.versions,
-            "inputs": [numbers[record] for record in self.inputs],
+            "inputs": [file_numbers[record] for record in self.inputs],
             "outputs": [record.as_dict() for record in self.outputs],
             "at": self.written_at,
             **template_values(self, "scores+"),
@@ -103,30 +103,30 @@ class ItemRecord:
 
     @classmethod
     def from_dict(
-        cls, values: Mapping[str, Any], files: Mapping[int, FileRecord]
+        cls, values: Mapping[str, Any], files_by_number: Mapping[int, FileRecord]
     ) -> ItemRecord:
         """Return the record of `as_dict`."""
         outputs = _nonempty_list(values, "outputs")
         scores = list_in(values, "scores") if "scores" in values else ()
         return cls(
             text_in(values, "item"),
-            text_in(values, "how", MAX_DIGEST),
+            text_in(values, "how", MAX_DIGEST_LENGTH),
             # Few are distinct, and every item has one.
-            sys.intern(text_in(values, "versions", MAX_DIGEST)),
-            tuple(_referenced_files(_nonempty_list(values, "inputs"), files)),
-            tuple(FileRecord.from_dict(object_of(output)) for output in outputs),
-            integer_in(values, "at", -MAX_CLOCK, MAX_CLOCK),
-            tuple(_parse_pass_scores(object_of(entry)) for entry in scores),
+            sys.intern(text_in(values, "versions", MAX_DIGEST_LENGTH)),
+            tuple(_referenced_files(_nonempty_list(values, "inputs"), files_by_number)),
+            tuple(FileRecord.from_dict(checked_object(output)) for output in outputs),
+            integer_in(values, "at", -MAX_CLOCK_NS, MAX_CLOCK_NS),
+            tuple(_parse_pass_scores(checked_object(entry)) for entry in scores),
         )
 
 
 def _referenced_files(
-    numbers: Sequence[object], files: Mapping[int, FileRecord]
+    file_numbers: Sequence[object], files_by_number: Mapping[int, FileRecord]
 ) -> Iterator[FileRecord]:
     """Yield the file records that numbers refer to."""
-    for number in numbers:
+    for number in file_numbers:
         # Booleans and floats may equal an int.
-        file = files.get(number) if type(number) is int else None
+        file = files_by_number.get(number) if type(number) is int else None
         if file is None:
             raise RecordError("an input has no record")
         yield file
@@ -159,80 +159,80 @@ def file_digest(path: Path) -> str:
     return digest
 
 
-def record_of(path: Path, name: str, state: FileState | None) -> FileRecord:
-    """Return the record of a file: its state and, if it exists, a content digest."""
+def record_file(path: Path, name: str, state: FileState | None) -> FileRecord:
+    """Return the record of a file: its state and, if it exists, its digest."""
     return FileRecord(name, state, "" if state is None else file_digest(path))
 
 
 MANIFEST_HEADER = {"manifest": "animtool/1"}
-MAX_FILES = 10**9
+MAX_FILE_NUMBER = 10**9
 # Number of names per line, so that a damaged line loses few.
 NAMES_PER_LINE = 100
 
 
 @dataclass(slots=True)
 class Manifest:
-    """Records of built items."""
+    """Records of built items, and names of every file that runs wrote."""
 
     items: dict[str, ItemRecord] = field(default_factory=dict)  # by key
     # Names of files that a run of the batch wrote or started to write.
-    known: set[str] = field(default_factory=set)
+    known_names: set[str] = field(default_factory=set)
     # Distinct files that items refer to, with their numbers.
-    files: dict[FileRecord, int] = field(default_factory=dict)
+    file_numbers: dict[FileRecord, int] = field(default_factory=dict)
     next_number: int = 0  # next file number
     length: int = 0  # length of the readable part [bytes]
     # Warnings about unusable lines.
-    damaged: list[Fault] = field(default_factory=list)
+    damage_warnings: list[Fault] = field(default_factory=list)
 
     def add(self, record: ItemRecord) -> None:
         """Add a built item, replacing an older one with the same key."""
-        previous = self.items.get(record.key)
-        if previous is None or previous.written_at <= record.written_at:
+        previous_record = self.items.get(record.key)
+        if previous_record is None or previous_record.written_at <= record.written_at:
             self.items[record.key] = record
-        self.known.update(output.path for output in record.outputs)
+        self.known_names.update(output.path for output in record.outputs)
 
     def merge(self, other: Manifest) -> None:
-        """Add the records of another manifest."""
+        """Add the records of another manifest; of equal keys the newer one stays."""
         for record in other.items.values():
             self.add(record)
-        self.known |= other.known
-        self.damaged += other.damaged
+        self.known_names |= other.known_names
+        self.damage_warnings += other.damage_warnings
 
 
 def read_manifest(path: Path) -> Manifest:
     """Return a manifest; an empty one if the file is missing.
 
-    Unusable lines are skipped and listed in `Manifest.damaged`.
+    Unusable lines are skipped and listed in `Manifest.damage_warnings`.
     """
     manifest, reader = Manifest(), LineReader(path, MANIFEST_HEADER)
-    files: dict[int, FileRecord] = {}
+    files_by_number: dict[int, FileRecord] = {}
     for line in reader.lines():
         try:
-            _add_line(manifest, files, line)
+            _add_line(manifest, files_by_number, line)
         except RecordError as error:
-            reader.damaged_lines[reader.number] = str(error)
+            reader.damaged_lines[reader.line_number] = str(error)
     manifest.length = reader.length
-    manifest.damaged += reader.notices()
+    manifest.damage_warnings += reader.notices()
     return manifest
 
 
 def _add_line(
-    manifest: Manifest, files: dict[int, FileRecord], line: Mapping[str, Any]
+    manifest: Manifest, files_by_number: dict[int, FileRecord], line: Mapping[str, Any]
 ) -> None:
     """Add the record of a line to a manifest, and a file to ``files`` by its number."""
     if "known" in line:
-        manifest.known.update(texts_in(line, "known"))
+        manifest.known_names.update(texts_in(line, "known"))
     elif "file" in line:
-        number = integer_in(line, "file", 0, MAX_FILES)
+        number = integer_in(line, "file", 0, MAX_FILE_NUMBER)
         record = FileRecord.from_dict(line)
         manifest.next_number = max(manifest.next_number, number + 1)
-        if files.setdefault(number, record) != record:
+        if files_by_number.setdefault(number, record) != record:
             # It is unknown which of the two an item means.
-            manifest.files.pop(files.pop(number), None)
+            manifest.file_numbers.pop(files_by_number.pop(number), None)
             raise RecordError("has the number of another file")
-        manifest.files[record] = number
+        manifest.file_numbers[record] = number
     elif "item" in line:
-        manifest.add(ItemRecord.from_dict(line, files))
+        manifest.add(ItemRecord.from_dict(line, files_by_number))
     else:
         raise RecordError("is not part of a manifest")
 
@@ -242,11 +242,12 @@ class ManifestWriter(LineWriter):
 
     def __init__(self, path: Path, manifest: Manifest) -> None:
         """Open a manifest file for appending."""
-        self._files, self._next_number = dict(manifest.files), manifest.next_number
+        self._file_numbers = dict(manifest.file_numbers)
+        self._next_number = manifest.next_number
         super().__init__(path, MANIFEST_HEADER, manifest.length)
 
-    def claim(self, names: Iterable[str]) -> None:
-        """Record the files that are about to be written."""
+    def add_names(self, names: Iterable[str]) -> None:
+        """Append the names of files that are about to be written."""
         listed_names = list(names)
         starts = range(0, len(listed_names), NAMES_PER_LINE)
         self.write({"known": listed_names[i : i + NAMES_PER_LINE]} for i in starts)
@@ -255,31 +256,32 @@ class ManifestWriter(LineWriter):
         """Append an item, after a line for each file that has no number yet."""
         lines: list[dict[str, object]] = []
         for file in record.inputs:
-            if file not in self._files:
-                number = self._files[file] = self._next_number
+            if file not in self._file_numbers:
+                number = self._file_numbers[file] = self._next_number
                 self._next_number += 1
                 lines.append({"file": number, **file.as_dict()})
-        self.write([*lines, record.as_dict(self._files)])
+        self.write([*lines, record.as_dict(self._file_numbers)])
 
 
 def rewrite_manifest(
     path: Path, items: Iterable[ItemRecord], known_names: Iterable[str]
 ) -> None:
-    """Rewrite a manifest atomically."""
+    """Replace a manifest by one with the given items and names, atomically."""
     with (
         replacement_path(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,
     ):
-        writer.claim(known_names)
+        writer.add_names(known_names)
         for record in items:
             writer.add(record)
 
 
 def _parse_pass_scores(record: Mapping[str, Any]) -> PassScores:
-    names = object_of(record.get("names"))
+    names = checked_object(record.get("names"))
     return PassScores(
         tuple(
-            _parse_score(object_of(entry)) for entry in _nonempty_list(record, "scores")
+            _parse_score(checked_object(entry))
+            for entry in _nonempty_list(record, "scores")
         ),
         {score_name: tuple(texts_in(names, score_name)) for score_name in names},
         text_in(record, "pass"),

@@ -10,7 +10,7 @@ from functools import cached_property
 from pathlib import Path
 
 from animtool.batch.discover import Batch
-from animtool.batch.item import Item, input_names
+from animtool.batch.item import Item, input_values
 from animtool.batch.ledger import History
 from animtool.batch.manifest import FileRecord, ItemRecord, digest_of, file_digest
 from animtool.batch.spec import package_versions, path_of_name, relative_name
@@ -42,7 +42,7 @@ class BuildReason(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Decision:
+class BuildDecision:
     """Whether to build an item, and the reason."""
 
     item: Item
@@ -71,50 +71,52 @@ class Planner:
         batch: Batch,
         history: History,
         *,
-        now: int = 0,
-        verify: bool = False,
-        force: bool = False,
+        current_time_ns: int = 0,
+        rehashes_files: bool = False,
+        builds_all: bool = False,
     ) -> None:
-        """Store the records, and the current time ``now`` [ns]."""
-        self._batch, self._history, self._now = batch, history, now
-        self._verify, self._force = verify, force
+        """Create a planner; the time is that of the disk with the records [ns]."""
+        self._batch = batch
+        self._history = history
+        self._current_time_ns = current_time_ns
+        self._rehashes_files, self._builds_all = rehashes_files, builds_all
         self._states: dict[str, FileState | None] = {}
         self._digests: dict[str, str] = {}
 
-    def key(self, item: Item) -> str:
-        """Return the key of an item's record."""
+    def record_key(self, item: Item) -> str:
+        """Return the key of an item's record: its output, relative to the root."""
         return relative_name(item.output, self._batch.root)
 
     def settings_digest(self, item: Item) -> str:
         """Return a digest of all settings that affect how an item is built."""
-        return digest_of(self._batch.item_task.description(item, self._batch.root))
+        return digest_of(self._batch.item_task.settings(item, self._batch.root))
 
     @cached_property
     def versions(self) -> str:
         """Digest of the versions of the packages that build items."""
         return digest_of(package_versions())
 
-    def decide(self, item: Item) -> Decision:
-        """Return the decision for an item."""
-        key = self.key(item)
+    def decide(self, item: Item) -> BuildDecision:
+        """Return whether to build an item: if options, versions or files changed."""
+        key = self.record_key(item)
         record = self._history.manifest.items.get(key)
-        failure = self._history.failed.get(key)
-        if self._force:
-            return Decision(item, BuildReason.FORCED)
+        failure = self._history.failure_reasons.get(key)
+        if self._builds_all:
+            return BuildDecision(item, BuildReason.FORCED)
         if record is None:
             if failure is not None:
-                return Decision(item, BuildReason.FAILED, failure)
-            return Decision(item, BuildReason.NEW)
+                return BuildDecision(item, BuildReason.FAILED, failure)
+            return BuildDecision(item, BuildReason.NEW)
         decision = self._decide_by_record(item, record)
         if decision.is_due and failure is not None:
-            return Decision(item, BuildReason.FAILED, failure)
+            return BuildDecision(item, BuildReason.FAILED, failure)
         return decision
 
-    def _decide_by_record(self, item: Item, record: ItemRecord) -> Decision:
+    def _decide_by_record(self, item: Item, record: ItemRecord) -> BuildDecision:
         if record.settings_digest != self.settings_digest(item):
-            return Decision(item, BuildReason.OPTIONS)
+            return BuildDecision(item, BuildReason.OPTIONS)
         if record.versions != self.versions:
-            return Decision(item, BuildReason.VERSION)
+            return BuildDecision(item, BuildReason.VERSION)
         inputs: list[FileRecord] = []
         outputs: list[FileRecord] = []
         for reason, files, unchanged_records in (
@@ -128,15 +130,19 @@ class Planner:
                 is_young = state is not None and state.changed_at >= record.written_at
                 current_record = self._unchanged_record(file, is_young=is_young)
                 if current_record is None:
-                    return Decision(item, reason, file.path)
+                    return BuildDecision(item, reason, file.path)
                 unchanged_records.append(current_record)
         updated_record: ItemRecord | None = None
         if (tuple(inputs), tuple(outputs)) != (record.inputs, record.outputs):
             updated_record = replace(
-                record, inputs=tuple(inputs), outputs=tuple(outputs)
+                record,
+                inputs=tuple(inputs),
+                outputs=tuple(outputs),
+                written_at=self._current_time_ns,
             )
-            updated_record = replace(updated_record, written_at=self._now)
-        return Decision(item, BuildReason.UP_TO_DATE, "", updated_record, record.scores)
+        return BuildDecision(
+            item, BuildReason.UP_TO_DATE, "", updated_record, record.scores
+        )
 
     def _unchanged_record(
         self, file: FileRecord, *, is_young: bool
@@ -148,7 +154,7 @@ class Planner:
         state = self._states[file.path]
         if state is None or file.state is None:
             return file if state is file.state else None
-        if state == file.state and not is_young and not self._verify:
+        if state == file.state and not is_young and not self._rehashes_files:
             return file
         if state.size != file.state.size or self._digest(file.path) != file.sha256:
             return None
@@ -173,40 +179,40 @@ def check_output_files(batch: Batch) -> None:
     Names that differ only in case or in the encoding of accents are the same file on
     some disks.
     """
-    resolve = PathResolver()
-    inputs = {resolve(item.file.path) for item in batch.items}
-    inputs |= {resolve(path) for path in batch.shared_inputs}
-    faults = list(_output_clashes(batch, resolve, inputs))
+    resolve_path = PathResolver()
+    inputs = {resolve_path(item.file.path) for item in batch.items}
+    inputs |= {resolve_path(path) for path in batch.shared_inputs}
+    faults = list(_output_clashes(batch, resolve_path, inputs))
     _raise_if_any(faults, OptionError)
     folders = dict.fromkeys(folder for item in batch.items for folder in item.folders)
     _raise_if_any(list(_unwritable_folders(folders)), OutputError)
 
 
 def _output_clashes(
-    batch: Batch, resolve: Callable[[Path], Path], inputs: set[Path]
+    batch: Batch, resolve_path: Callable[[Path], Path], inputs: set[Path]
 ) -> Iterator[Fault]:
     """Yield a fault for each output that is an input or is written twice."""
-    writers: dict[str, list[tuple[Item, Path]]] = {}
+    writers_by_file: dict[str, list[tuple[Item, Path]]] = {}
     for item in batch.items:
         item_file_keys: set[str] = set()
         for path in batch.outputs(item):
-            resolved = resolve(path)
-            if resolved in inputs:
+            resolved_path = resolve_path(path)
+            if resolved_path in inputs:
                 message = "is an input of this batch"
                 hint = f"choose another {argument('output')}"
                 yield Fault("OUT003", message, str(path), (), hint)
-            file_key = name_key(resolved)
+            file_key = name_key(resolved_path)
             if file_key in item_file_keys:
                 message = f"would be written twice for {item.label}"
                 yield Fault("OUT007", message, str(path))
             else:
-                writers.setdefault(file_key, []).append((item, path))
+                writers_by_file.setdefault(file_key, []).append((item, path))
             item_file_keys.add(file_key)
-    for (first_item, _), *other_writers in writers.values():
+    for (first_item, _), *other_writers in writers_by_file.values():
         if other_writers:
             second_item, path = other_writers[0]
-            labels = f"{first_item.label} and {second_item.label}"
-            message = f"would be written for both {labels}"
+            labels_text = f"{first_item.label} and {second_item.label}"
+            message = f"would be written for both {labels_text}"
             if len(other_writers) > 1:
                 message += f", and for {len(other_writers) - 1} more"
             hint = _separating_hint(second_item, first_item, batch.items)
@@ -221,17 +227,18 @@ def _separating_hint(item: Item, other_item: Item, items: Sequence[Item]) -> str
     if item.shot is not None and item.shot != other_item.shot:
         return "use {shot} in the output to keep the shots separate"
     if item.file != other_item.file:
-        names, other_names = input_names(item.file), input_names(other_item.file)
-        all_names = [input_names(batch_item.file) for batch_item in items]
-        stems = {each["stem"] for each in all_names}
-        paths = {(each["parent"], each["stem"]) for each in all_names}
+        input_value_by_name = input_values(item.file)
+        other_value_by_name = input_values(other_item.file)
+        all_input_values = [input_values(batch_item.file) for batch_item in items]
+        stems = {values["stem"] for values in all_input_values}
+        paths = {(values["parent"], values["stem"]) for values in all_input_values}
         if len(stems) < len(items) == len(paths):
             return "use {parent}/{stem} in the output to keep the inputs separate"
         for name in ("stem", "parent", "name"):
-            if names[name] != other_names[name]:
+            if input_value_by_name[name] != other_value_by_name[name]:
                 return f"use {{{name}}} in the output to keep the inputs separate"
-    for name, value in item.values.items():
-        if other_item.values.get(name) != value:
+    for name, value in item.variant_values.items():
+        if other_item.variant_values.get(name) != value:
             return f"use {{{name}}} in the output to keep the variants separate"
     return "these values appear twice: remove one"
 

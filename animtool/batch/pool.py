@@ -20,10 +20,10 @@ from multiprocessing.process import BaseProcess
 from typing import Any, cast
 
 from animtool.batch.item import Item, ItemTask
-from animtool.batch.spec import Limits, bytes_text
+from animtool.batch.spec import Limits
 from animtool.batch.work import (
     READY_MESSAGE,
-    RESUME,
+    RESUME_HINT,
     FileBeingRead,
     ItemBuilder,
     ItemOutcome,
@@ -37,6 +37,7 @@ from animtool.core.errors import Fault, OutputError
 from animtool.core.files.leftovers import remove_leftovers
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import CRASH_SIGNALS, crash_fault, without_main
+from animtool.core.quantities import size_text
 from animtool.core.record import dataclass
 
 # Environment variables of worker processes.
@@ -66,8 +67,8 @@ MAX_FAILED_STARTS = 3
 JOIN_TIMEOUT = 5.0
 # Hints by exit code of a process.
 EXIT_HINTS = {
-    -9: f"lower {argument('jobs')}, or allow more memory or time; {RESUME}",
-    -6: f"the system may be out of memory: lower {argument('jobs')}; {RESUME}",
+    -9: f"lower {argument('jobs')}, or allow more memory or time; {RESUME_HINT}",
+    -6: f"the system may be out of memory: lower {argument('jobs')}; {RESUME_HINT}",
 }
 
 
@@ -80,7 +81,7 @@ class _Worker:
     is_ready: bool = False
     item: Item | None = None
     start_time: float = field(default_factory=time.perf_counter)
-    path: str = ""
+    read_path: str = ""
 
     def send_item(self, item: Item) -> None:
         self.item, self.start_time = item, time.perf_counter()
@@ -89,7 +90,7 @@ class _Worker:
             self.connection.send(item)
 
     def receive(self) -> object:
-        """Return the next message of the worker; None if it ended or sent nonsense.
+        """Return the next message of the worker; None if it ended or sent garbage.
 
         The file that it reads is stored: if the file crashes the worker, no other
         message arrives.
@@ -100,14 +101,14 @@ class _Worker:
                 message = self.connection.recv()
                 if not isinstance(message, FileBeingRead):
                     return message
-                self.path = message.path
+                self.read_path = message.path
         except Exception:
             # Unpickling bytes from another program may raise anything.
             return None
         return message
 
-    def end(self, *, kill: bool) -> None:
-        if kill:
+    def end(self, *, is_killed: bool) -> None:
+        if is_killed:
             self.process.kill()
         else:
             with contextlib.suppress(OSError):
@@ -121,7 +122,7 @@ class _Worker:
 
 @dataclass(slots=True)
 class _Pool:
-    """The worker processes of a run."""
+    """The worker processes of a run, and the items that they build."""
 
     builder: ItemBuilder
     items: Iterator[Item]  # items to build
@@ -131,7 +132,7 @@ class _Pool:
     has_more_items: bool = True  # False once ``items`` is exhausted
     workers: list[_Worker] = field(default_factory=list)  # live workers
     # Number of consecutive processes that ended before accepting an item.
-    failed_starts: int = 0
+    failed_start_count: int = 0
 
     def start(self) -> None:
         context = _start_context(self.builder.item_task)
@@ -157,17 +158,17 @@ class _Pool:
     def outcomes(self) -> Iterator[ItemOutcome]:
         """Wait for events and yield the outcomes of items."""
         workers_by_handle = {
-            key: worker
+            handle: worker
             for worker in self.workers
-            for key in (worker.connection, worker.process.sentinel)
+            for handle in (worker.connection, worker.process.sentinel)
         }
         handles = wait(list(workers_by_handle), self._time_left())
         workers = (workers_by_handle[cast(Any, handle)] for handle in handles)
         for worker in dict.fromkeys(workers):
             yield from self._handle_message(worker)
         for worker in list(self.workers):
-            elapsed = time.perf_counter() - worker.start_time
-            if not worker.is_ready and elapsed > MAX_START_SECONDS:
+            elapsed_seconds = time.perf_counter() - worker.start_time
+            if not worker.is_ready and elapsed_seconds > MAX_START_SECONDS:
                 self._remove_failed_worker(worker)
             fault = self._exceeded_limit(worker)
             if fault is not None:
@@ -175,29 +176,29 @@ class _Pool:
 
     def _handle_message(self, worker: _Worker) -> Iterator[ItemOutcome]:
         message = worker.receive()
-        number = None if worker.item is None else worker.item.number
+        item_number = None if worker.item is None else worker.item.number
         if message == READY_MESSAGE:
-            worker.is_ready, self.failed_starts = True, 0
+            worker.is_ready, self.failed_start_count = True, 0
         elif isinstance(message, FileBeingRead):
             pass
-        elif isinstance(message, ItemOutcome) and message.number == number:
+        elif isinstance(message, ItemOutcome) and message.number == item_number:
             yield from self._end_item(worker, message)
         elif not worker.is_ready:
             self._remove_failed_worker(worker)
         elif worker.item is None:
             self.workers.remove(worker)
-            worker.end(kill=True)
+            worker.end(is_killed=True)
         else:
             worker.process.join(JOIN_TIMEOUT)
-            code = worker.process.exitcode or 0
+            exit_code = worker.process.exitcode or 0
             # A process killed from outside was not crashed by the file that it read.
-            if worker.path and -code in CRASH_SIGNALS and code != -9:
-                yield self._fail_item(worker, crash_fault(worker.path, -code))
+            if worker.read_path and -exit_code in CRASH_SIGNALS and exit_code != -9:
+                yield self._fail_item(worker, crash_fault(worker.read_path, -exit_code))
                 return
             reason = f"the process that built it {_exit_text(worker.process)}"
-            hint = EXIT_HINTS.get(code)
+            hint = EXIT_HINTS.get(exit_code)
             if self.limits.memory is not None:
-                hint = hint and f"raise {argument('memory_limit')}; {RESUME}"
+                hint = hint and f"raise {argument('memory_limit')}; {RESUME_HINT}"
             yield self._fail_item(worker, Fault("BAT020", reason, hint=hint))
 
     def _remove_failed_worker(self, worker: _Worker) -> None:
@@ -206,17 +207,17 @@ class _Pool:
         if worker.process.is_alive():
             worker.process.join(POLL_INTERVAL)
         reason = _exit_text(worker.process)
-        worker.end(kill=True)
-        self.failed_starts += 1
-        if self.failed_starts == MAX_FAILED_STARTS:
+        worker.end(is_killed=True)
+        self.failed_start_count += 1
+        if self.failed_start_count == MAX_FAILED_STARTS:
             raise _start_error(f"the last {reason}")
 
     def _end_item(self, worker: _Worker, outcome: ItemOutcome) -> Iterator[ItemOutcome]:
         worker.item = None
         # A process that uses more than half of the limit likely leaks memory.
-        limit = self.limits.memory
+        memory_limit = self.limits.memory
         is_retired = outcome.is_retired or (
-            limit is not None and _used_bytes(worker.process) > limit / 2
+            memory_limit is not None and _used_bytes(worker.process) > memory_limit / 2
         )
         # The failure may be the last allowed one, which is known only after reporting
         # it.
@@ -225,21 +226,21 @@ class _Pool:
         yield outcome
         if is_retired:
             self.workers.remove(worker)
-            worker.end(kill=False)
+            worker.end(is_killed=False)
 
     def _exceeded_limit(self, worker: _Worker) -> Fault | None:
         """Return the fault of a worker's item that exceeds its limits, else None."""
         limits = self.limits
         if worker.item is None or worker not in self.workers:
             return None
-        elapsed = time.perf_counter() - worker.start_time
-        if limits.seconds is not None and elapsed > limits.seconds:
+        elapsed_seconds = time.perf_counter() - worker.start_time
+        if limits.seconds is not None and elapsed_seconds > limits.seconds:
             message = f"took more than its {limits.seconds:g} s"
             hint = "raise `limits: {seconds: …}` to allow more"
             return Fault("BAT021", message, hint=hint)
-        limit = limits.memory
-        if limit is not None and _used_bytes(worker.process) > limit:
-            message = f"used more than its {bytes_text(limit)} of memory"
+        memory_limit = limits.memory
+        if memory_limit is not None and _used_bytes(worker.process) > memory_limit:
+            message = f"used more than its {size_text(memory_limit)} of memory"
             hint = "raise `limits: {memory: …}` to allow more"
             return Fault("BAT022", message, hint=hint)
         return None
@@ -256,7 +257,7 @@ class _Pool:
     def kill_worker(self, worker: _Worker) -> None:
         """Kill a worker process and remove its temporary files."""
         self.workers.remove(worker)
-        worker.end(kill=True)
+        worker.end(is_killed=True)
         if worker.item is not None:
             folders = [folder.resolve() for folder in worker.item.folders]
             remove_leftovers(folders, worker.process.pid)
@@ -276,16 +277,16 @@ class _Pool:
         if not deadlines:
             return None
         # Systems limit a wait to a few weeks.
-        remaining = max(0.0, min(deadlines) - time.perf_counter())
-        return min(remaining, MAX_WAIT_SECONDS) + POLL_INTERVAL
+        remaining_seconds = max(0.0, min(deadlines) - time.perf_counter())
+        return min(remaining_seconds, MAX_WAIT_SECONDS) + POLL_INTERVAL
 
-    def end(self, *, kill: bool) -> None:
+    def end(self, *, is_killed: bool) -> None:
         for worker in list(self.workers):
-            if kill:
+            if is_killed:
                 self.kill_worker(worker)
             else:
                 self.workers.remove(worker)
-                worker.end(kill=False)
+                worker.end(is_killed=False)
 
 
 def preload(item_task: ItemTask) -> None:
@@ -303,7 +304,7 @@ def run_processes(
     builder: ItemBuilder,
     items: Iterator[Item],
     limits: Limits,
-    jobs: int,
+    process_count: int,
     *,
     queue_next: bool = True,
 ) -> Iterator[ItemOutcome]:
@@ -315,7 +316,7 @@ def run_processes(
     pool, all_items_built = _Pool(builder, items, limits, queue_next), False
     try:
         while True:
-            while pool.has_more_items and len(pool.workers) < jobs:
+            while pool.has_more_items and len(pool.workers) < process_count:
                 pool.start()
             for worker in pool.workers:
                 pool.send_next_item(worker)
@@ -325,7 +326,7 @@ def run_processes(
             yield from pool.outcomes()
         all_items_built = True
     finally:
-        pool.end(kill=not all_items_built)
+        pool.end(is_killed=not all_items_built)
 
 
 def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
@@ -343,7 +344,7 @@ def _start_context(item_task: ItemTask) -> ForkServerContext | SpawnContext:
 
 @contextlib.contextmanager
 def _worker_environment() -> Iterator[None]:
-    """In a block, set `WORKER_ENVIRONMENT` for processes that are started."""
+    """Set `WORKER_ENVIRONMENT` for processes that a block starts."""
     previous_values = {name: os.environ.get(name) for name in WORKER_ENVIRONMENT}
     os.environ.update(WORKER_ENVIRONMENT)
     try:
@@ -365,17 +366,17 @@ def _start_error(reason: str) -> OutputError:
 
 
 def _exit_text(process: BaseProcess) -> str:
-    code = process.exitcode
-    if code is None:
+    exit_code = process.exitcode
+    if exit_code is None:
         return "does not respond"
-    if code >= 0:
-        return f"ended with {code}"
-    if code == -9:
+    if exit_code >= 0:
+        return f"ended with {exit_code}"
+    if exit_code == -9:
         return "was killed from outside (SIGKILL): out of memory or a time limit"
     try:
-        return f"was ended by {signal.Signals(-code).name}"
+        return f"was ended by {signal.Signals(-exit_code).name}"
     except ValueError:
-        return f"was ended by signal {-code}"
+        return f"was ended by signal {-exit_code}"
 
 
 def _used_bytes(process: BaseProcess) -> int:

@@ -52,7 +52,7 @@ def json_object(data: bytes, *, refuses_duplicates: bool = True) -> dict[str, An
     """Return the JSON object in data; raise an error for other values."""
     decoder = _UNIQUE_KEYS_DECODER if refuses_duplicates else _STRICT_DECODER
     try:
-        return object_of(decoder.decode(data.decode("utf-8")))
+        return checked_object(decoder.decode(data.decode("utf-8")))
     except RecordError:
         raise
     except ValueError as error:
@@ -62,7 +62,7 @@ def json_object(data: bytes, *, refuses_duplicates: bool = True) -> dict[str, An
         raise RecordError("is nested too deeply") from error
 
 
-def json_of_file(path: Path, max_bytes: int) -> dict[str, Any]:
+def read_json(path: Path, max_bytes: int) -> dict[str, Any]:
     """Return the JSON object in a file of limited size."""
     try:
         data = read_input(path, max_bytes, is_recorded=False)
@@ -71,7 +71,7 @@ def json_of_file(path: Path, max_bytes: int) -> dict[str, Any]:
     return json_object(data)
 
 
-def object_of(value: object) -> dict[str, Any]:
+def checked_object(value: object) -> dict[str, Any]:
     """Return a value if it is a JSON object, else raise an error."""
     if not isinstance(value, dict):
         raise RecordError("is not an object")
@@ -81,7 +81,7 @@ def object_of(value: object) -> dict[str, Any]:
 def text_in(
     record: Mapping[str, Any], key: str, max_length: int = MAX_TEXT_LENGTH
 ) -> str:
-    """Return the text value of a key."""
+    """Return the text of a key; refuse other types, long texts and NUL."""
     return _checked_text(record.get(key), key, max_length)
 
 
@@ -126,7 +126,7 @@ def number_in(record: Mapping[str, Any], key: str, minimum: float = 0.0) -> floa
 
 
 def list_in(record: Mapping[str, Any], key: str) -> Sequence[Any]:
-    """Return the list value of a key."""
+    """Return the list of a key; raise an error for other types."""
     value = record.get(key)
     if not isinstance(value, list):
         raise RecordError(f"{key!r} is not a list")
@@ -142,7 +142,7 @@ _CHECKSUM_LENGTH = len(_CHECKSUM_KEY) + len('01234567"}\n')
 
 
 class LineReader:
-    """Reads a file of JSON lines.
+    """Reads a file of JSON lines, and skips damaged ones.
 
     Attributes:
         length: Length of the complete lines read so far [bytes].
@@ -151,17 +151,17 @@ class LineReader:
     """
 
     def __init__(self, path: Path, header: JsonLine) -> None:
-        """Prepare to read a file that may be missing."""
+        """Store the path, which may be missing, and the expected first line."""
         self.path, self.header = path, header
-        self.length = self.number = 0
+        self.length = self.line_number = 0
         self.damaged_lines: dict[int, str] = {}
         self._has_checksums = False
 
     def lines(self) -> Iterator[dict[str, Any]]:
         """Yield all lines after the first; skip an incomplete last line.
 
-        Lines that are not JSON, or fail the checksum, are `damaged`; the caller adds
-        lines with invalid content.
+        Lines that are not JSON, or fail the checksum, are in `damaged_lines`; the
+        caller adds lines with invalid content.
         """
         try:
             raw_file = open_input(self.path, None, is_recorded=False)
@@ -178,7 +178,7 @@ class LineReader:
 
     def _lines(self, file: IO[bytes]) -> Iterator[dict[str, Any]]:
         self._read_header(file)
-        while self.number:
+        while self.line_number:
             line = file.readline(MAX_LINE_BYTES + 1)
             length = len(line)
             while length > MAX_LINE_BYTES and line and not line.endswith(b"\n"):
@@ -186,22 +186,22 @@ class LineReader:
                 length += len(line)
             if not line.endswith(b"\n"):
                 return
-            self.number += 1
+            self.line_number += 1
             self.length += length
             try:
                 record = self._parse_line(line, length)
             except RecordError as error:
-                self.damaged_lines[self.number] = str(error)
+                self.damaged_lines[self.line_number] = str(error)
             else:
                 yield record
 
     def _read_header(self, file: IO[bytes]) -> None:
         """Read and check the first line, if the file is not empty."""
-        expected = _line_text(self.header).encode()
+        expected_line = _line_text(self.header).encode()
         line = file.readline(MAX_LINE_BYTES)
         # The first line may be incomplete after a kill; other files are not
         # overwritten.
-        if len(line) < len(expected) and expected.startswith(line):
+        if len(line) < len(expected_line) and expected_line.startswith(line):
             return
         try:
             header = json_object(line)
@@ -209,14 +209,14 @@ class LineReader:
             header = {}
         if header != self.header or not line.endswith(b"\n"):
             raise self._foreign_error(header)
-        self.length, self.number = len(line), 1
+        self.length, self.line_number = len(line), 1
 
     def _parse_line(self, line: bytes, length: int) -> dict[str, Any]:
         """Parse a line, without its checksum."""
         if length > MAX_LINE_BYTES:
             raise RecordError(f"is longer than {MAX_LINE_BYTES} bytes")
         content, checksum_text = line[:-_CHECKSUM_LENGTH], line[-_CHECKSUM_LENGTH:]
-        is_valid = checksum_text == _checksum_end(content)
+        is_valid = checksum_text == _checksum_suffix(content)
         record = json_object(line, refuses_duplicates=not is_valid)
         self._has_checksums |= is_valid
         if not is_valid and (self._has_checksums or "crc" in record):
@@ -229,23 +229,23 @@ class LineReader:
         if not self.damaged_lines:
             return []
         number, reason = next(iter(self.damaged_lines.items()))
-        count = counted(len(self.damaged_lines), "line")
-        message = f"{count} of the record cannot be used: line {number} {reason}"
+        count_text = counted(len(self.damaged_lines), "line")
+        message = f"{count_text} of the record cannot be used: line {number} {reason}"
         hint = "the items in them are rebuilt"
         location = str(self.path), tuple(self.damaged_lines)[:100]
         return [Fault("BAT070", message, *location, hint, Severity.WARNING)]
 
-    def _foreign_error(self, line: JsonLine) -> FormatError:
+    def _foreign_error(self, header: JsonLine) -> FormatError:
         (kind, version), *_ = self.header.items()
         message = f"is not a {kind} file of {version}"
-        other_version = line.get(kind)
+        other_version = header.get(kind)
         if isinstance(other_version, str) and other_version != version:
             message = f"is of version {other_version[:40]!r}; {version} is supported"
         hint = "remove it to rebuild everything"
         return FormatError(Fault("BAT011", message, str(self.path), (1,), hint))
 
 
-def _checksum_end(body: bytes) -> bytes:
+def _checksum_suffix(body: bytes) -> bytes:
     return f'{_CHECKSUM_KEY}{zlib.crc32(body):08x}"}}\n'.encode()
 
 
@@ -255,7 +255,7 @@ def _line_text(line: JsonLine) -> str:
 
 def _with_checksum(line: JsonLine) -> bytes:
     body = _line_text(line).encode()[:-2]
-    return body + _checksum_end(body)
+    return body + _checksum_suffix(body)
 
 
 class LineWriter:
@@ -294,18 +294,18 @@ class LineWriter:
         os.close(self._handle)
 
     def write(self, lines: Iterable[JsonLine]) -> None:
-        """Append lines in one call."""
+        """Append lines, each with its checksum, in one write."""
         self._write(b"".join(map(_with_checksum, lines)))
 
     def _write(self, data: bytes) -> None:
         try:
-            written = os.write(self._handle, data)
+            written_count = os.write(self._handle, data)
         except OSError as error:
             raise self._write_error(error) from error
-        if written < len(data):
+        if written_count < len(data):
             os.ftruncate(self._handle, self.length)
             raise self._write_error("the disk is full")
-        self.length += written
+        self.length += written_count
 
     def _write_error(self, error: OSError | str) -> OutputError:
         fault = output_error(self.path, error).faults[0]

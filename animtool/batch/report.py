@@ -1,4 +1,4 @@
-"""Reports of a batch and its items."""
+"""Reports of a batch and its items, as JSON keys and as JUnit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from animtool.core.values import template_values
 from animtool.motion.scores import PassScores, sort_key_of_scores
 
 # Number of slowest items, and of largest errors, in a summary.
-LISTED_ITEMS = 3
+MAX_LISTED = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,20 +34,20 @@ class ItemReport:
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
     # Measurements of the bake; None if it was not built.
-    measured: BakeMeasurements | None = None
+    measurements: BakeMeasurements | None = None
     # Scores of its passes, also from an earlier run.
     scores: tuple[PassScores, ...] = ()
     repeat_command: str = ""  # the command that repeats it, where it failed
     json_keys: ClassVar[str] = (
-        "item=item.number input=item.file.path values=item.values+ "
+        "item=item.number input=item.file.path values=item.variant_values+ "
         "variables=item.variables+ output=item.output outputs=item.files+ status "
         "reason shot=item.shot? detail+ seconds=build_seconds?~ "
-        "samples=measured.samples? error=measured?{meters=error joint} scores+ faults+ "
-        "notices+ again=repeat_command+"
+        "samples=measurements.sample_count? error=measurements?{meters=error joint} "
+        "scores+ faults+ notices+ again=repeat_command+"
     )
 
     def with_argument_names(self, namer: ArgumentNamer) -> ItemReport:
-        """Return a copy whose texts name arguments as an interface does."""
+        """Return a copy whose messages name arguments as commands, or Python, do."""
         faults, notices = (
             tuple(fault.with_argument_names(namer) for fault in fault_list)
             for fault_list in (self.faults, self.notices)
@@ -119,22 +119,22 @@ class BatchReport:
     @property
     def slowest_items(self) -> list[ItemReport]:
         """Reports of the slowest items, slowest first."""
-        built = [report for report in self.items if report.status is ItemStatus.DONE]
-        return sorted(built, key=lambda report: -report.seconds)[:LISTED_ITEMS]
+        built_reports = [
+            report for report in self.items if report.status is ItemStatus.DONE
+        ]
+        return sorted(built_reports, key=lambda report: -report.seconds)[:MAX_LISTED]
 
     @property
     def largest_errors(self) -> list[ItemReport]:
         """Reports of the items with the largest errors, largest first."""
         reports = [report for report in self.items if _largest_error(report) > 0]
-        return sorted(reports, key=lambda report: -_largest_error(report))[
-            :LISTED_ITEMS
-        ]
+        return sorted(reports, key=lambda report: -_largest_error(report))[:MAX_LISTED]
 
     @property
     def items_with_scores(self) -> list[ItemReport]:
         """Reports of the items whose passes have scores, worst first."""
         reports = [report for report in self.items if report.scores]
-        return sorted(reports, key=_scores_key, reverse=True)
+        return sorted(reports, key=lambda r: sort_key_of_scores(r.scores), reverse=True)
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
         """Return each distinct notice with the items that have it."""
@@ -159,12 +159,8 @@ class BatchReport:
         return ExitCode.FINDINGS if self.failed else ExitCode.OK
 
 
-def _scores_key(report: ItemReport) -> list[float]:
-    return sort_key_of_scores(report.scores)
-
-
 def _largest_error(report: ItemReport) -> float:
-    return 0.0 if report.measured is None else report.measured.error
+    return 0.0 if report.measurements is None else report.measurements.error
 
 
 def junit_report(reports: Sequence[ItemReport]) -> str:
@@ -178,8 +174,8 @@ def _junit_case(report: ItemReport) -> JunitCase:
     output = "\n".join(warnings)
     if report.status is ItemStatus.FAILED:
         fault, text = report.faults[0], "\n".join(map(str, report.faults))
-        cause = (fault.code, fault.message, text)
-        return JunitCase(name, "failure", *cause, output, report.seconds)
+        failure_texts = (fault.code, fault.message, text)
+        return JunitCase(name, "failure", *failure_texts, output, report.seconds)
     if report.status is ItemStatus.DONE:
         return JunitCase(name, output=output, seconds=report.seconds)
     return JunitCase(name, "skipped", message=str(report.reason))

@@ -13,7 +13,12 @@ from animtool.batch.executors import Executor, Work, find_executor
 from animtool.batch.item import Item
 from animtool.batch.ledger import History, Ledger, locked_ledger, read_history
 from animtool.batch.manifest import ItemRecord
-from animtool.batch.plan import Decision, Planner, check_output_files, check_overwrites
+from animtool.batch.plan import (
+    BuildDecision,
+    Planner,
+    check_output_files,
+    check_overwrites,
+)
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.spec import BatchSpec, path_of_name, relative_name
 from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
@@ -26,7 +31,7 @@ DEFAULT_EXECUTOR = "processes"
 
 @dataclass(frozen=True, slots=True)
 class RunOptions:
-    """Options of a batch run.
+    """Which items a batch run builds, where, and what it may overwrite.
 
     Attributes:
         jobs: Number of simultaneous items; None uses the batch's.
@@ -51,8 +56,8 @@ class RunOptions:
     overwrite: bool = False
 
 
-class Listener:
-    """Receives the events of a run; this base class ignores them.
+class RunListener:
+    """Receives the events of a batch run; this base class ignores them.
 
     Attributes:
         shown_warnings: Warnings that were already displayed.
@@ -76,7 +81,7 @@ class Listener:
 def run_batch(
     spec: BatchSpec | Batch,
     options: RunOptions | None = None,
-    listener: Listener | None = None,
+    listener: RunListener | None = None,
 ) -> BatchReport:
     """Build the missing and outdated items of a batch.
 
@@ -94,25 +99,27 @@ def run_batch(
         OutputError: A folder cannot be written to (OUT002, BAT012).
     """
     start_time = time.perf_counter()
-    options, listener = options or RunOptions(), listener or Listener()
+    options, listener = options or RunOptions(), listener or RunListener()
     batch = spec if isinstance(spec, Batch) else find_batch(spec)
     items = _selected_items(batch, options)
     check_output_files(batch)
     if options.dry_run:
-        history = read_history(batch.records, batch.name)
-        planner = Planner(batch, history, verify=options.verify, force=options.force)
+        history = read_history(batch.records_folder, batch.name)
+        planner = Planner(
+            batch, history, rehashes_files=options.verify, builds_all=options.force
+        )
         decisions = _decisions(items, options, planner, history)
         reports = tuple(map(_planned_report, decisions))
         seconds = time.perf_counter() - start_time
-        return BatchReport(batch, reports, seconds, tuple(history.damaged))
-    part = "" if options.numbers is None else "{}-{}".format(*options.numbers)
-    with locked_ledger(batch.records, batch.name, part) as ledger:
+        return BatchReport(batch, reports, seconds, tuple(history.damage_warnings))
+    part_name = "" if options.numbers is None else "{}-{}".format(*options.numbers)
+    with locked_ledger(batch.records_folder, batch.name, part_name) as ledger:
         run = _BatchRun(batch, options, listener, ledger)
         run.plan(items)
         run.build_due_items()
         ledger.merge_records(run.should_keep)
     seconds = time.perf_counter() - start_time
-    notices = (*ledger.history.damaged, *run.notices)
+    notices = (*ledger.history.damage_warnings, *run.notices)
     return BatchReport(batch, tuple(run.reports()), seconds, notices)
 
 
@@ -129,14 +136,17 @@ def _selected_items(batch: Batch, options: RunOptions) -> Sequence[Item]:
 
 def _decisions(
     items: Sequence[Item], options: RunOptions, planner: Planner, history: History
-) -> Iterator[Decision]:
+) -> Iterator[BuildDecision]:
     """Yield the decision for each item, or only for those that failed last time."""
     for item in items:
-        if not options.retry_failed or planner.key(item) in history.failed:
+        if (
+            not options.retry_failed
+            or planner.record_key(item) in history.failure_reasons
+        ):
             yield planner.decide(item)
 
 
-def _planned_report(decision: Decision) -> ItemReport:
+def _planned_report(decision: BuildDecision) -> ItemReport:
     status = ItemStatus.NOT_RUN if decision.is_due else ItemStatus.SKIPPED
     return ItemReport(
         decision.item, status, decision.reason, decision.detail, scores=decision.scores
@@ -144,21 +154,21 @@ def _planned_report(decision: Decision) -> ItemReport:
 
 
 class _BatchRun:
-    """A run of a batch whose records are locked by this process."""
+    """A run of a batch: its plan, its outcomes and the ledger that it locks."""
 
     def __init__(
-        self, batch: Batch, options: RunOptions, listener: Listener, ledger: Ledger
+        self, batch: Batch, options: RunOptions, listener: RunListener, ledger: Ledger
     ) -> None:
         self.batch, self.options = batch, options
         self.listener, self.ledger = listener, ledger
         self.planner = Planner(
             batch,
             ledger.history,
-            now=ledger.start_time_ns,
-            verify=options.verify,
-            force=options.force,
+            current_time_ns=ledger.start_time_ns,
+            rehashes_files=options.verify,
+            builds_all=options.force,
         )
-        self.decisions: dict[int, Decision] = {}
+        self.decisions: dict[int, BuildDecision] = {}
         self.reports_by_number: dict[int, ItemReport] = {}
         self.started_numbers: set[int] = set()
         self.failure_count = 0
@@ -185,27 +195,27 @@ class _BatchRun:
     def _is_known(self, path: Path) -> bool:
         """Return whether a run of the batch wrote a file, or started to."""
         name = relative_name(path, self.batch.root)
-        return name in self.ledger.history.manifest.known
+        return name in self.ledger.history.manifest.known_names
 
     def _executor(self) -> tuple[Executor, str]:
         """Return the executor of the run, and the text after its name and ``=``."""
-        name, _, argument = self.options.executor.partition("=")
-        return find_executor(name), argument
+        name, _, executor_argument = self.options.executor.partition("=")
+        return find_executor(name), executor_argument
 
     def _remove_temporary_files(self) -> None:
         """Remove temporary files of killed runs, also for intact items."""
         items = [decision.item for decision in self.decisions.values()]
         folders = dict.fromkeys(folder for item in items for folder in item.folders)
-        folders[self.batch.records] = None
+        folders[self.batch.records_folder] = None
         remove_leftovers(folder.resolve() for folder in folders)
 
     def build_due_items(self) -> None:
-        """Build the items that the plan requires."""
+        """Build the items that are due with the executor, and record each outcome."""
         batch, decisions = self.batch, self.decisions.values()
         due_items = [decision.item for decision in decisions if decision.is_due]
         if not due_items:
             return
-        executor, argument = self._executor()
+        executor, executor_argument = self._executor()
         run_executor = executor.load()
         requested_jobs = self.options.jobs or batch.jobs
         work = Work(
@@ -213,10 +223,13 @@ class _BatchRun:
             self._start_items(due_items),
             batch.limits,
             min(requested_jobs or _processor_count(), len(due_items)),
-            argument,
+            executor_argument,
             requested_jobs,
             (*batch.shared_inputs, *(item.file.path for item in due_items)),
-            (batch.records, *dict.fromkeys(f for i in due_items for f in i.folders)),
+            (
+                batch.records_folder,
+                *dict.fromkeys(f for i in due_items for f in i.folders),
+            ),
             self.options.max_failures is None,
         )
         outcomes = run_executor(work)
@@ -254,7 +267,9 @@ class _BatchRun:
                 except OptionError as error:
                     self._record_outcome(ItemOutcome.failed(item, *error.faults))
                     continue
-            self.ledger.claim([relative_name(path, self.batch.root) for path in paths])
+            self.ledger.add_names(
+                [relative_name(path, self.batch.root) for path in paths]
+            )
             self.listener.on_start(item)
             yield item
 
@@ -272,10 +287,10 @@ class _BatchRun:
             seconds=outcome.seconds,
             faults=outcome.faults,
             notices=outcome.notices,
-            measured=outcome.measured,
+            measurements=outcome.measurements,
             scores=outcome.scores,
         )
-        key = self.planner.key(item)
+        key = self.planner.record_key(item)
         if outcome.status is ItemStatus.DONE:
             self.ledger.add(
                 ItemRecord(
@@ -290,7 +305,7 @@ class _BatchRun:
             )
         else:
             self.failure_count += 1
-            self.ledger.failed(key, report.failure_text)
+            self.ledger.add_failure(key, report.failure_text)
         self.reports_by_number[item.number] = report
         self.listener.on_end(report)
 

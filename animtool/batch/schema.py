@@ -9,7 +9,7 @@ from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from animtool.batch.spec import MAX_SECONDS
+from animtool.batch.spec import MAX_LIMIT_SECONDS
 from animtool.core.options import key
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
@@ -23,7 +23,7 @@ from animtool.documents.fields import (
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import SourceOptions
 
-Value = str | Real | bool
+VariableValue = str | Real | bool
 
 
 class OverrideModel(FileModel):
@@ -32,7 +32,7 @@ class OverrideModel(FileModel):
     inputs: list[Name] = key(
         "The inputs it applies to: files, folders and globs.", ["takes/mixamo/**"]
     )
-    variables: dict[str, Value] = key(
+    variables: dict[str, VariableValue] = key(
         "Their values, which replace those of the batch or of an override above.",
         {"map": "mixamo.map.yaml"},
     )
@@ -41,7 +41,7 @@ class OverrideModel(FileModel):
 class LimitsModel(FileModel):
     """Time and memory limits of an item."""
 
-    seconds: Annotated[Real, Gt(0), Le(MAX_SECONDS)] | None = key(
+    seconds: Annotated[Real, Gt(0), Le(MAX_LIMIT_SECONDS)] | None = key(
         "Time limit of an item. Default: none.", 60, default=None
     )
     memory: str | None = key(
@@ -73,7 +73,7 @@ class RangeModel(FileModel):
     step: Real = key("Step from one value to the next.", 0.25, default=1)
 
 
-Column = str | list[Value] | RangeModel
+VariantColumn = str | list[VariableValue] | RangeModel
 
 
 class BatchModel(FileModel):
@@ -120,7 +120,7 @@ class BatchModel(FileModel):
         "01:00:00:00",
         default=None,
     )
-    variables: dict[str, Value] = key(
+    variables: dict[str, VariableValue] = key(
         "Value of `${name}` in the scene; `set` of the command line takes precedence.",
         {"shot": "sh010"},
         default={},
@@ -130,7 +130,7 @@ class BatchModel(FileModel):
         [{"inputs": ["takes/mixamo/**"], "variables": {"map": "mixamo.map.yaml"}}],
         default=[],
     )
-    variants: str | list[dict[str, Value]] | dict[str, Column] = key(
+    variants: str | list[dict[str, VariableValue]] | dict[str, VariantColumn] = key(
         "A table of values for `${name}` in the scene and `{name}` in the output, "
         "with an item for each row. Names with lists of values give every "
         "combination; a list holds the rows themselves; a text names a CSV file.",

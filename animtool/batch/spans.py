@@ -18,7 +18,7 @@ _TIME_EFFECT_NAME = re.compile(
     r"time\W*_?(warp|remap|ramp|curve)|retime|speed", re.IGNORECASE
 )
 # Begin and end [s]; None for the full range.
-Window: TypeAlias = tuple[Fraction, Fraction] | None
+TimeWindow: TypeAlias = tuple[Fraction, Fraction] | None
 
 
 class UnsupportedTimeError(ValueError):
@@ -41,14 +41,14 @@ class ShownClip:
     clip: Any
     track: str
     clip_text: str
-    visible_range: Window = None
+    visible_range: TimeWindow = None
     speed: Fraction = Fraction(1)
     name: str = ""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The media range that a clip shows.
+    """The range of its media that a clip shows, and the speed.
 
     Attributes:
         begin: Earliest shown media time, in the clip's time codes [s].
@@ -68,17 +68,15 @@ class Span:
 
 
 def shown_span(shown_clip: ShownClip) -> Span:
-    """Return the media range that a clip shows.
+    """Return the media range of the visible part of a clip.
 
     Backwards, a clip plays its range from the last frame to the first.
     """
     trimmed_range = shown_clip.clip.trimmed_range()
     start = seconds_of(trimmed_range.start_time)
     length = seconds_of(trimmed_range.duration)
-    rate, speed = (
-        exact_rate(trimmed_range.start_time.rate),
-        playback_speed(shown_clip.clip),
-    )
+    rate = exact_rate(trimmed_range.start_time.rate)
+    speed = playback_speed(shown_clip.clip)
     visible_begin, visible_end = shown_clip.visible_range or (Fraction(0), length)
     hidden_before = length - visible_end if speed < 0 else visible_begin
     return Span(
@@ -100,7 +98,9 @@ def playback_speed(item: Any) -> Fraction:
         time_scalar = getattr(effect, "time_scalar", None)
         if time_scalar is None:
             if is_time_effect(effect):
-                raise UnsupportedTimeError(f"{_effect_name(effect)} has no speed")
+                name = effect.effect_name or effect.name or type(effect).__name__
+                message = f"effect {excerpt(str(name))} has no speed"
+                raise UnsupportedTimeError(message)
             continue
         if isfinite(time_scalar):
             speed *= Fraction(float(time_scalar)).limit_denominator(MAX_DENOMINATOR)
@@ -114,27 +114,24 @@ def is_time_effect(effect: Any) -> bool:
     import opentimelineio as otio
 
     name = str(effect.effect_name or "")
-    is_time_effect = isinstance(effect, otio.schema.TimeEffect)
-    return is_time_effect or _TIME_EFFECT_NAME.search(name) is not None
-
-
-def _effect_name(effect: Any) -> str:
-    name = effect.effect_name or effect.name or type(effect).__name__
-    return f"effect {excerpt(str(name))}"
+    has_effect_type = isinstance(effect, otio.schema.TimeEffect)
+    return has_effect_type or _TIME_EFFECT_NAME.search(name) is not None
 
 
 def transition_offsets(shown_clip: ShownClip) -> tuple[Any, Any]:
     """Return how far transitions extend a clip before and after it; None for none."""
     import opentimelineio as otio
 
-    kind = otio.schema.Transition
+    transition_type = otio.schema.Transition
     track = shown_clip.clip.parent()
     if not isinstance(track, otio.schema.Track):
         return None, None
     in_transition, out_transition = track.neighbors_of(shown_clip.clip)
     return (
-        in_transition.in_offset if isinstance(in_transition, kind) else None,
-        out_transition.out_offset if isinstance(out_transition, kind) else None,
+        in_transition.in_offset if isinstance(in_transition, transition_type) else None,
+        out_transition.out_offset
+        if isinstance(out_transition, transition_type)
+        else None,
     )
 
 
@@ -150,7 +147,7 @@ class ClipVisitor:
     notices: list[Fault] = field(default_factory=list)
 
     def visit_timeline(self, tracks: Any) -> None:
-        """Visit the clips of a timeline's tracks."""
+        """Collect the visible clips of the enabled video tracks of a timeline."""
         if self._is_disabled(tracks, "the timeline's stack"):
             return
         try:
@@ -179,7 +176,7 @@ class ClipVisitor:
     def skip_item(
         self, item: Any, code: str, reason: str, severity: Severity = Severity.WARNING
     ) -> None:
-        """Report why an item and its contents are not shots."""
+        """Record why an item, and each clip in it, does not become a shot."""
         for name in _clip_names(item):
             self.skip_reasons.setdefault(name, reason)
         self._note(code, f"{reason}; it is skipped", severity)
@@ -193,8 +190,8 @@ class ClipVisitor:
         self,
         item: Any,
         item_text: str,
-        path: str,
-        window: Window,
+        track: str,
+        window: TimeWindow,
         begin: Fraction,
         speed: Fraction,
     ) -> None:
@@ -202,7 +199,7 @@ class ClipVisitor:
 
         ``window`` is the visible part of the parent, ``speed`` that of the parent.
         """
-        visible_part: Window = None
+        visible_part: TimeWindow = None
         if window is not None:
             item_end = begin + duration_of(item)
             if not max(begin, window[0]) < min(item_end, window[1]):
@@ -210,19 +207,19 @@ class ClipVisitor:
                 self.skip_item(item, "BAT043", reason, Severity.NOTE)
                 return
             visible_end = min(item_end, window[1])
-            visible_part = max(begin, window[0]) - begin, visible_end - begin
+            visible_part = (max(begin, window[0]) - begin, visible_end - begin)
         if not hasattr(item, "find_children"):
-            self.clips.append(ShownClip(item, path, item_text, visible_part, speed))
+            self.clips.append(ShownClip(item, track, item_text, visible_part, speed))
             return
         try:
             inner_window, inner_speed = _content_window(item, visible_part)
         except UnsupportedTimeError as error:
             self.skip_item(item, "BAT044", f"{item_text}: {error}")
             return
-        self._visit_children(item, path, inner_window, speed * inner_speed)
+        self._visit_children(item, track, inner_window, speed * inner_speed)
 
     def _visit_children(
-        self, parent: Any, parent_text: str, window: Window, speed: Fraction
+        self, parent: Any, parent_path: str, window: TimeWindow, speed: Fraction
     ) -> None:
         import opentimelineio as otio
 
@@ -237,23 +234,31 @@ class ClipVisitor:
             if isinstance(child, schema.Gap):
                 self.gap_count += 1
             elif isinstance(child, schema.Clip):
-                child_text = f"clip {excerpt(child.name or '')} of {parent_text}"
+                child_text = f"clip {excerpt(child.name or '')} of {parent_path}"
                 if not self._is_disabled(child, child_text):
                     self._visit_item(
-                        child, child_text, parent_text, window, child_begin, speed
+                        child, child_text, parent_path, window, child_begin, speed
                     )
             elif isinstance(child, otio.core.Composition):
-                path = f"{parent_text}/{child.name}" if child.name else parent_text
-                if self._is_video(child, path) and not self._is_disabled(child, path):
-                    message = f"{path} is nested; its clips become shots"
+                child_track = (
+                    f"{parent_path}/{child.name}" if child.name else parent_path
+                )
+                if self._is_video(child, child_track) and not self._is_disabled(
+                    child, child_track
+                ):
+                    message = f"{child_track} is nested; its clips become shots"
                     self._note("BAT043", message)
-                    self._visit_item(child, path, path, window, child_begin, speed)
+                    self._visit_item(
+                        child, child_track, child_track, window, child_begin, speed
+                    )
 
 
-def _content_window(item: Any, visible_range: Window) -> tuple[Window, Fraction]:
+def _content_window(
+    item: Any, visible_range: TimeWindow
+) -> tuple[TimeWindow, Fraction]:
     """Return the content range that a track or stack shows, and its speed.
 
-    visible_range: visible range since its begin; None for all.
+    ``visible_range`` is relative to the begin of the item [s]; None for all.
     """
     speed, source_range = playback_speed(item), item.source_range
     if speed <= 0:

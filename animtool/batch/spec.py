@@ -1,4 +1,4 @@
-"""The spec of a batch: inputs, outputs, limits, paths and versions."""
+"""The request for a batch: inputs, outputs and limits; file names and versions."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from animtool.core.record import dataclass
 from animtool.scene.bake.options import BakeOptions
 
 # Longer than any run, and within the range of system timers.
-MAX_SECONDS = 1e9
-MAX_BYTES = 10**18
+MAX_LIMIT_SECONDS = 1e9
+MAX_LIMIT_BYTES = 10**18
 
-_UNITS = {
+_BYTES_PER_UNIT = {
     **{name: 1000**i for i, name in enumerate(("B", "KB", "MB", "GB", "TB"))},
     **{name: 1024**i for i, name in enumerate(("KiB", "MiB", "GiB", "TiB"), 1)},
 }
@@ -28,7 +28,7 @@ _SIZE_PATTERN = re.compile(r"([0-9]+(?:\.[0-9]+)?)\s*([KMGT]i?B|B)")
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """Limits of an item.
+    """Time and memory that building one item may take.
 
     Attributes:
         seconds: Limit of wall time; None for no limit.
@@ -46,33 +46,21 @@ def parse_bytes(text: str) -> int:
     (1500000000, 2048)
     """
     match = _SIZE_PATTERN.fullmatch(text.strip())
-    size = float(match[1]) * _UNITS[match[2]] if match else 0.0
-    if not 1 <= size <= MAX_BYTES:
+    size = float(match[1]) * _BYTES_PER_UNIT[match[2]] if match else 0.0
+    if not 1 <= size <= MAX_LIMIT_BYTES:
         raise ValueError(f"{excerpt(text)} is not a size such as 2GB or 512MiB")
     return int(size)
 
 
 def parse_seconds(text: str) -> float:
-    """Return the time [s] of a text, above 0 and up to `MAX_SECONDS`."""
+    """Return the time [s] of a text, above 0 and up to `MAX_LIMIT_SECONDS`."""
     try:
         seconds = float(text)
     except ValueError:
         seconds = 0.0
-    if not 0 < seconds <= MAX_SECONDS:
+    if not 0 < seconds <= MAX_LIMIT_SECONDS:
         raise ValueError(f"{excerpt(text)} is not a number of seconds above 0")
     return seconds
-
-
-def bytes_text(size: int) -> str:
-    """Return a size as text.
-
-    >>> bytes_text(1_500_000_000), bytes_text(20)
-    ('1.5 GB', '20 B')
-    """
-    value, names = float(size), ["B", "KB", "MB", "GB", "TB"]
-    while value >= 1000 and len(names) > 1:
-        value, names = value / 1000, names[1:]
-    return f"{value:.3g} {names[0]}"
 
 
 PARENT_FOLDER = ".."
@@ -84,16 +72,16 @@ def relative_name(path: Path, root: Path) -> str:
     >>> relative_name(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'
     """
-    absolute = path.absolute()
+    absolute_path = path.absolute()
     # The target of a step up is unknown if a folder is a link.
-    if PARENT_FOLDER in absolute.parts or PARENT_FOLDER in root.parts:
-        return absolute.as_posix()
-    pairs = zip(absolute.parts, root.parts, strict=False)
-    common_count = len(list(takewhile(lambda pair: pair[0] == pair[1], pairs)))
+    if PARENT_FOLDER in absolute_path.parts or PARENT_FOLDER in root.parts:
+        return absolute_path.as_posix()
+    part_pairs = zip(absolute_path.parts, root.parts, strict=False)
+    common_count = len(list(takewhile(lambda pair: pair[0] == pair[1], part_pairs)))
     if common_count < 2:
-        return absolute.as_posix()
-    steps = [PARENT_FOLDER] * (len(root.parts) - common_count)
-    return PurePosixPath(*steps, *absolute.parts[common_count:]).as_posix()
+        return absolute_path.as_posix()
+    steps_up = [PARENT_FOLDER] * (len(root.parts) - common_count)
+    return PurePosixPath(*steps_up, *absolute_path.parts[common_count:]).as_posix()
 
 
 def path_of_name(name: str, root: Path) -> Path:
@@ -135,9 +123,9 @@ def package_versions() -> dict[str, str]:
         except PackageNotFoundError:
             versions[name] = ""
     for group in VERSIONED_PLUGIN_GROUPS:
-        for point in plugin_entry_points(group).values():
-            if point.dist is not None:
-                versions[point.dist.name] = point.dist.version
+        for entry_point in plugin_entry_points(group).values():
+            if entry_point.dist is not None:
+                versions[entry_point.dist.name] = entry_point.dist.version
     return versions
 
 
@@ -154,14 +142,14 @@ class Override:
     variables: Mapping[str, str] = field(default_factory=dict)
 
     def without_names(self, names: Collection[str]) -> Override:
-        """Return a copy without the values of some names."""
+        """Return a copy that does not override the named variables."""
         items = self.variables.items()
         return replace(self, variables={n: v for n, v in items if n not in names})
 
 
 @dataclass(frozen=True, slots=True)
 class BatchSpec:
-    """What a batch reads, builds and writes, before its inputs are searched for.
+    """The request for a batch, before its inputs are searched for.
 
     Attributes:
         inputs: Files, folders and globs, relative to ``folder``; a timeline among them
@@ -212,7 +200,7 @@ class BatchSpec:
 
     @property
     def path_text(self) -> str | None:
-        """The batch file in faults; None if there is none."""
+        """Path of the batch file for faults; None if there is none."""
         return None if self.path is None else str(self.path)
 
     @property

@@ -22,10 +22,10 @@ from animtool.core.files.reading import FileState, open_input
 from animtool.core.rates import rate_from_float
 
 # Maximum size; a feature film with all metadata has a fifth [bytes].
-MAX_BYTES = 100_000_000
+MAX_TIMELINE_BYTES = 100_000_000
 # Nested stacks use three levels each.
-MAX_NESTING = 300
-OTIOZ_CONTENT = "content.otio"
+MAX_NESTING_DEPTH = 300
+TIMELINE_IN_BUNDLE = "content.otio"
 
 _JSON_STRING = re.compile(rb'"(?:[^"\\]|\\.)*"', re.S)
 # Non-finite numbers, which the library writes and reads.
@@ -34,7 +34,7 @@ _BRACKET_BYTES = b"[]{}"
 _NO_BRACKETS = bytes(set(range(256)) - set(_BRACKET_BYTES))
 
 
-def check_text(path: Path) -> None:
+def check_timeline_file(path: Path) -> None:
     """Raise an error for a timeline that is too large, deeply nested or not a file."""
     try:
         problem = _text_problem(path)
@@ -48,26 +48,29 @@ def check_text(path: Path) -> None:
 
 
 def _text_problem(path: Path) -> str | None:
-    kind = path.suffix.lower()
-    if kind == ".otiod":
-        path = path / OTIOZ_CONTENT
+    suffix = path.suffix.lower()
+    if suffix == ".otiod":
+        path = path / TIMELINE_IN_BUNDLE
     text = b"null"
-    with open_input(path, None if kind == ".otioz" else MAX_BYTES) as file:
-        if kind in {".otio", ".otiod"}:
+    with open_input(path, None if suffix == ".otioz" else MAX_TIMELINE_BYTES) as file:
+        if suffix in {".otio", ".otiod"}:
             text = file.read_all()
-        elif kind == ".otioz":
+        elif suffix == ".otioz":
             try:
-                with ZipFile(file) as archive, archive.open(OTIOZ_CONTENT) as content:
-                    text = content.read(MAX_BYTES + 1)
+                with (
+                    ZipFile(file) as archive,
+                    archive.open(TIMELINE_IN_BUNDLE) as content,
+                ):
+                    text = content.read(MAX_TIMELINE_BYTES + 1)
             except MemoryError:
                 raise
             except Exception as error:
                 # For damaged archives, the library raises almost anything.
                 return f"cannot be read: {excerpt(str(error), 200)}"
-        if len(text) > MAX_BYTES:
-            return f"is larger than {MAX_BYTES // 1_000_000} MB"
-    if nesting_depth(text) > MAX_NESTING:
-        return f"is nested more than {MAX_NESTING} levels deep"
+        if len(text) > MAX_TIMELINE_BYTES:
+            return f"is larger than {MAX_TIMELINE_BYTES // 1_000_000} MB"
+    if nesting_depth(text) > MAX_NESTING_DEPTH:
+        return f"is nested more than {MAX_NESTING_DEPTH} levels deep"
     if b"Inf" in text or b"-NaN" in text:
         text = _NON_FINITE_NUMBER.sub(
             lambda match: match[0] if match[0].startswith(b'"') else b"0", text
@@ -77,7 +80,7 @@ def _text_problem(path: Path) -> str | None:
 
 
 def nesting_depth(text: bytes) -> int:
-    """Return the nesting depth of JSON text.
+    """Return how deep brackets are nested in JSON text, without parsing it.
 
     >>> nesting_depth(b'[{"a": "[[[", "b": [1]}, 2]')
     3
@@ -119,7 +122,7 @@ def is_edl(path: Path) -> bool:
 def read_timeline(path: Path) -> Any:
     """Return an OpenTimelineIO timeline; an EDL is read by `read_edl`."""
     otio = import_otio()
-    check_text(path)
+    check_timeline_file(path)
     try:
         timeline = otio.adapters.read_from_file(str(path))
     except MemoryError:
@@ -160,8 +163,8 @@ def media_path(url: str, folder: Path) -> Path:
         return Path(_escape_null(url2pathname(host + url_parts.path)))
     if len(url_parts.scheme) > 1:
         return Path(url)
-    exists = FileState.of(folder / url) is not None
-    return folder / (url if exists else _escape_null(unquote(url)))
+    is_existing = FileState.of(folder / url) is not None
+    return folder / (url if is_existing else _escape_null(unquote(url)))
 
 
 def _escape_null(path: str) -> str:
@@ -175,12 +178,14 @@ def exact_rate(rate: float) -> Fraction:
     return rate_from_float(rate)
 
 
-def seconds_of(time: Any) -> Fraction:
+def seconds_of(rational_time: Any) -> Fraction:
     """Return the time of a timeline object in seconds, exact at the object's rate."""
-    rate = exact_rate(time.rate)
-    if not abs(time.value) <= MAX_MEDIA_SECONDS * rate:
-        raise ValueError(f"{time.value!r} is not a time at {float(rate):g} frames/s")
-    exact_value = Fraction(time.value)
+    rate = exact_rate(rational_time.rate)
+    if not abs(rational_time.value) <= MAX_MEDIA_SECONDS * rate:
+        raise ValueError(
+            f"{rational_time.value!r} is not a time at {float(rate):g} frames/s"
+        )
+    exact_value = Fraction(rational_time.value)
     frames = Fraction(round(exact_value))
     if abs(exact_value - frames) > FRAME_TOLERANCE:
         frames = exact_value.limit_denominator(MAX_DENOMINATOR)

@@ -23,7 +23,7 @@ COMMON_RATES_HINT = SET_RATE_HINT.format("24", "25, 30000/1001, 30")
 
 
 def edl_rate(edl: Edl, requested_fps: Fraction | None) -> Fraction:
-    """Return the frame rate of an EDL's time codes.
+    """Return the frame rate that the time codes of an EDL count.
 
     The rate is that of a comment (``* FPS: 25``), else the requested rate, else the
     project's rate.
@@ -83,8 +83,10 @@ def timeline_rate(
     common_rate, common_count = rates.most_common(1)[0]
     if len(rates) == 1:
         return common_rate, []
-    counts = (f"{number} at {rate_label(rate)}" for rate, number in rates.most_common())
-    rate_list = ", ".join(counts)
+    count_texts = (
+        f"{count} at {rate_label(rate)}" for rate, count in rates.most_common()
+    )
+    rate_list = ", ".join(count_texts)
     message = f"states no rate, and its clips and gaps use several: {rate_list}"
     if 2 * common_count <= clip_count:
         raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
@@ -115,10 +117,10 @@ def video_rates(composition: Any) -> Iterator[Fraction]:
             if getattr(child, "kind", "Video") == "Video":
                 yield from video_rates(child)
             continue
-        span = getattr(child, "source_range", None)
-        if span is None:
+        time_range = getattr(child, "source_range", None)
+        if time_range is None:
             media = getattr(child, "media_reference", None)
-            span = getattr(media, "available_range", None)
-        rate = 0.0 if span is None else span.start_time.rate
+            time_range = getattr(media, "available_range", None)
+        rate = 0.0 if time_range is None else time_range.start_time.rate
         if MIN_MEDIA_RATE <= rate <= MAX_MEDIA_RATE:
             yield rate_from_float(rate)

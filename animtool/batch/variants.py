@@ -28,11 +28,11 @@ from animtool.documents.document import read_text
 MAX_VARIANTS = 10_000
 # Limits of a table; a file without line ends has one line of millions of characters.
 MAX_COLUMNS = 1000
-MAX_LINE = 1_000_000
+MAX_LINE_LENGTH = 1_000_000
 # Number of reported faults of a table.
 MAX_FAULTS = 100
 TOO_MANY_TEXT = f"a batch has at most {MAX_VARIANTS} variants"
-_RANGE = re.compile(
+_RANGE_PATTERN = re.compile(
     r"(?P<first>[-+]?\d+(?:\.\d+)?)\.\.(?P<last>[^/.][^/]*)(?:/(?P<step>.+))?"
 )
 # A range of other tools: FIRST:LAST:STEP, FIRST:STEP:LAST or FIRST..LAST..STEP; and one
@@ -45,7 +45,7 @@ _UNSAFE_CHARACTERS = re.compile(r"[^A-Za-z0-9_.+-]+")
 
 @dataclass(frozen=True, slots=True)
 class Variants:
-    """A table of values with one variant per row."""
+    """A table of variables: one variant per row, with the value of each name."""
 
     # Values of every name for each variant, as text.
     rows: tuple[Mapping[str, str], ...]
@@ -64,11 +64,11 @@ def variants_of_columns(columns: Mapping[str, Sequence[str]]) -> Variants:
     >>> [row["k"] + row["s"] for row in variants.rows]
     ['1a', '1b', '2a', '2b']
     """
-    count = math.prod(map(len, columns.values())) if columns else 0
-    if count == 0:
+    variant_count = math.prod(map(len, columns.values())) if columns else 0
+    if variant_count == 0:
         raise ValueError("a value is missing")
-    if count > MAX_VARIANTS:
-        raise ValueError(f"{counted(count, 'variant')}: {TOO_MANY_TEXT}")
+    if variant_count > MAX_VARIANTS:
+        raise ValueError(f"{counted(variant_count, 'variant')}: {TOO_MANY_TEXT}")
     combinations = itertools.product(*columns.values())
     return Variants(tuple(dict(zip(columns, row, strict=True)) for row in combinations))
 
@@ -159,7 +159,7 @@ def values_of_text(text: str) -> list[str]:
     """
     values: list[str] = []
     for entry in (entry.strip() for entry in text.split(",")):
-        match = _RANGE.fullmatch(entry)
+        match = _RANGE_PATTERN.fullmatch(entry)
         if match is None:
             problem = value_problem(entry)
             if problem is None and _translate_separated_range(entry) is not None:
@@ -183,10 +183,10 @@ def range_values(first: str, last: str, step: str = "1") -> list[str]:
     first_value, last_value, step_value = map(_parse_decimal, (first, last, step))
     if step_value == 0 or (last_value - first_value) / step_value < 0:
         raise ValueError(f"steps of {step} do not lead from {first} to {last}")
-    count = int((last_value - first_value) / step_value) + 1
-    if count > MAX_VARIANTS:
-        raise ValueError(f"a range of {counted(count, 'value')}: {TOO_MANY_TEXT}")
-    return [_decimal_text(first_value + i * step_value) for i in range(count)]
+    value_count = int((last_value - first_value) / step_value) + 1
+    if value_count > MAX_VARIANTS:
+        raise ValueError(f"a range of {counted(value_count, 'value')}: {TOO_MANY_TEXT}")
+    return [_decimal_text(first_value + i * step_value) for i in range(value_count)]
 
 
 def _parse_decimal(text: str) -> Decimal:
@@ -277,9 +277,9 @@ def read_variants(path: Path) -> Variants:
     separator_hint = None
     if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
         separator_hint = "separate columns by commas, or by tabs in a .tsv file"
-    header = (str(path), (lines[0][0],), separator_hint)
+    header_location = (str(path), (lines[0][0],), separator_hint)
     faults = [
-        Fault("BAT063", message, *header, column=columns[i])
+        Fault("BAT063", message, *header_location, column=columns[i])
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:
@@ -309,7 +309,7 @@ def _parse_lines(
     text: str, separator: str, path: Path
 ) -> Iterator[tuple[int, list[str], list[int]]]:
     """Yield the nonblank lines of a table: line number, values, and value columns."""
-    for number, raw_line in enumerate(io.StringIO(text), 1):
+    for line_number, raw_line in enumerate(io.StringIO(text), 1):
         line = raw_line.removesuffix("\n").removesuffix("\r")
         if not line.strip(f" {separator}"):
             continue
@@ -318,18 +318,18 @@ def _parse_lines(
         except (csv.Error, ValueError) as error:
             message = f"cannot be read as a table: {error}"
             hint = "inside quotes, double a quote; values cannot contain line ends"
-            fault = Fault("BAT061", message, str(path), (number,), hint, column=1)
+            fault = Fault("BAT061", message, str(path), (line_number,), hint, column=1)
             raise FormatError(fault) from error
         columns = _value_columns(line, separator)
         # Readers disagree on quotes inside a value.
         columns += columns[-1:] * (len(values) - len(columns))
-        yield number, [value.strip() for value in values], columns
+        yield line_number, [value.strip() for value in values], columns
 
 
 def _parse_line(line: str, separator: str) -> list[str]:
-    """Split a line into its values."""
-    if len(line) > MAX_LINE:
-        raise ValueError(f"a line can have up to {MAX_LINE} characters")
+    """Split a line into its values; refuse lines and tables that are too wide."""
+    if len(line) > MAX_LINE_LENGTH:
+        raise ValueError(f"a line can have up to {MAX_LINE_LENGTH} characters")
     (values,) = csv.reader(io.StringIO(line), delimiter=separator, strict=True)
     if len(values) > MAX_COLUMNS:
         message = f"the table has {len(values)} columns; the limit is {MAX_COLUMNS}"
@@ -339,9 +339,9 @@ def _parse_line(line: str, separator: str) -> list[str]:
 
 def _value_columns(line: str, separator: str) -> list[int]:
     """Return the 1-based columns where the values of a line begin."""
-    columns, in_quotes = [1], False
+    columns, is_quoted = [1], False
     for column, character in enumerate(line, 2):
-        in_quotes ^= character == '"'
-        if character == separator and not in_quotes:
+        is_quoted ^= character == '"'
+        if character == separator and not is_quoted:
             columns.append(column)
     return columns

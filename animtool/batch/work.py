@@ -1,4 +1,4 @@
-"""Builds items in this process or in a worker process."""
+"""Builds items and measures them, in this process or in a worker process."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from animtool.batch.item import Item, ItemTask
-from animtool.batch.manifest import FileRecord, record_of
+from animtool.batch.manifest import FileRecord, record_file
 from animtool.batch.spec import relative_name
 from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, excerpt
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
 
 # Hint of errors that end a run.
-RESUME = "finished items are recorded; run the same command again to resume"
+RESUME_HINT = "finished items are recorded; run the same command again to resume"
 
 
 class ItemStatus(StrEnum):
@@ -52,7 +52,7 @@ class ItemStatus(StrEnum):
 class BakeMeasurements:
     """Number of samples of a bake, and its largest error."""
 
-    samples: int  # number of written samples
+    sample_count: int  # number of written samples
     error: float  # largest distance between a joint and its written position [m]
     joint: str  # name of that joint
 
@@ -66,7 +66,7 @@ class ItemOutcome:
     seconds: float  # wall time
     faults: tuple[Fault, ...] = ()  # why it failed
     notices: tuple[Fault, ...] = ()  # warnings and notes
-    measured: BakeMeasurements | None = None  # measurements of the bake
+    measurements: BakeMeasurements | None = None  # measurements of the bake
     scores: tuple[PassScores, ...] = ()  # scores of its passes
     inputs: tuple[FileRecord, ...] = ()  # accessed files
     outputs: tuple[FileRecord, ...] = ()  # written files
@@ -81,11 +81,11 @@ class ItemOutcome:
 
 @dataclass(slots=True)
 class ItemBuilder:
-    """Builds the items of a batch one after another."""
+    """Builds items in this process, and records the files that each accesses."""
 
     item_task: ItemTask  # how to build
     root: Path  # root of the paths in records
-    _digests: dict[FileState, FileRecord] = field(default_factory=dict)
+    _records_by_state: dict[FileState, FileRecord] = field(default_factory=dict)
 
     def build(self, item: Item) -> ItemOutcome:
         """Build an item and return its outcome; raise only to end the process."""
@@ -128,7 +128,7 @@ class ItemBuilder:
             raise_stopped(reports)
         paths = dict.fromkeys(path for report in reports for path in report.files)
         outputs = tuple(
-            record_of(path, relative_name(path, self.root), FileState.of(path))
+            record_file(path, relative_name(path, self.root), FileState.of(path))
             for path in paths
         )
         written_at = max(file.state.changed_at for file in outputs if file.state)
@@ -152,13 +152,13 @@ class ItemBuilder:
         """Return records of the files that were read, sorted by name."""
         records = []
         for path, state in sorted(inputs.states.items()):
-            cached_record = None if state is None else self._digests.get(state)
+            cached_record = None if state is None else self._records_by_state.get(state)
             name = relative_name(path, self.root)
             if cached_record is None or cached_record.path != name:
-                cached_record = record_of(path, name, state)
+                cached_record = record_file(path, name, state)
                 # A younger file may later have the same state with another content.
                 if state is not None and state.changed_at < written_at:
-                    self._digests[state] = cached_record
+                    self._records_by_state[state] = cached_record
             records.append(cached_record)
         # The file is unchanged after reading it again for its digest.
         inputs.check()
@@ -168,8 +168,11 @@ class ItemBuilder:
 def _measurements(reports: Sequence[OutputReport]) -> BakeMeasurements:
     """Return the total number of samples and the largest error of all outputs."""
     measurements = [_output_measurements(report) for report in reports]
-    largest = max(measurements, key=lambda measurement: measurement.error)
-    return replace(largest, samples=sum(each.samples for each in measurements))
+    worst_measurement = max(measurements, key=lambda output: output.error)
+    return replace(
+        worst_measurement,
+        sample_count=sum(output.sample_count for output in measurements),
+    )
 
 
 def _output_measurements(report: OutputReport) -> BakeMeasurements:
@@ -229,10 +232,10 @@ SCENE_MODULES = (
 
 
 def required_modules(item_task: ItemTask) -> list[str]:
-    """Return the modules to import before the first item.
+    """Return the modules that a worker imports before its first item.
 
     >>> from pathlib import Path
-    >>> required_modules(ItemTask(kinds=(Path("walk.bvh"),)))[-2:]
+    >>> required_modules(ItemTask(example_paths=(Path("walk.bvh"),)))[-2:]
     ['animtool.formats.bvh.read', 'animtool.batch.preload']
     """
     return [
@@ -241,12 +244,12 @@ def required_modules(item_task: ItemTask) -> list[str]:
 
 
 def _modules_by_kind(item_task: ItemTask) -> Iterator[str]:
-    has_scenes = any(has_kind_suffix(path, "scene") for path in item_task.kinds)
+    has_scenes = any(has_kind_suffix(path, "scene") for path in item_task.example_paths)
     if item_task.scene is not None or has_scenes:
         yield from SCENE_MODULES
     if item_task.options.rig_layer is not None:
         yield from LAYER_MODULES
-    for path in item_task.kinds:
+    for path in item_task.example_paths:
         reader = READERS.get(path.suffix.lower())
         yield from READER_MODULES.get(reader, ()) if reader is not None else ()
 

@@ -25,7 +25,7 @@ from animtool.core.record import dataclass
 
 @dataclass(frozen=True, slots=True)
 class WorkerTask:
-    """Settings by which a worker process builds items."""
+    """How a worker process builds items: builder, limits and working folder."""
 
     builder: ItemBuilder  # builds the items
     limits: Limits  # limits of each item
@@ -34,7 +34,7 @@ class WorkerTask:
 
 @dataclass(slots=True)
 class WorkerProcess:
-    """A running subprocess that builds items."""
+    """A subprocess that builds items; it starts with the first item."""
 
     task: WorkerTask  # how it builds items
     _process: Popen[bytes] | None = field(default=None, repr=False)

@@ -311,13 +311,13 @@ def _measure_tradeoffs(
     plot, source = params["plot"], sources[0]
     inputs = [source] if isinstance(source, Path) else source.inputs
     check_plot(plot, inputs, overwrite=params["overwrite"])
-    from animtool.scene.tables.simulation import simulates
+    from animtool.scene.tables.simulation import has_simulation
     from animtool.scene.tables.tradeoffs import simulation_tradeoffs, take_tradeoffs
 
     options, scene = read_bake_options(params), single_scene(sources)
     name = source.name if isinstance(source, Path) else source.path.name
     with console.progress(f"measure {name}") as progress:
-        if scene is not None and simulates(scene):
+        if scene is not None and has_simulation(scene):
             report = simulation_tradeoffs(scene, options, progress=progress)
         elif options.deform:
             raise click.UsageError("--table measures joints, not --deform.")

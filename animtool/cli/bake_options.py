@@ -202,5 +202,5 @@ def replace_timeline(
     if cut is None:
         return sources, output
     params |= {"shot": cut.shot, "start": None}
-    name = cut.names["shot"]
+    name = cut.shot_values["shot"]
     return [cut.media.path], output or sources[0].with_name(f"{name}.usdc")

@@ -326,9 +326,9 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
     else:
         spec = BatchSpec(tuple(listed_paths(inputs)))
     if params["path_mapping"] is not None:
-        from animtool.batch.item import map_spec, read_rules
+        from animtool.batch.item import map_batch_paths, read_path_rules
 
-        spec = map_spec(spec, read_rules(params["path_mapping"]))
+        spec = map_batch_paths(spec, read_path_rules(params["path_mapping"]))
     folder = Path.cwd()
     if params["output"] is not None:
         output = params["output"]

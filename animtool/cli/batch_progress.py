@@ -9,9 +9,9 @@ from contextlib import contextmanager
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from animtool.batch.item import values_text
+from animtool.batch.item import variant_text
 from animtool.batch.report import BatchReport, ItemReport
-from animtool.batch.run import Listener
+from animtool.batch.run import RunListener
 from animtool.batch.work import ItemStatus
 from animtool.cli.console import Console
 from animtool.core.arguments import ArgumentNamer
@@ -38,13 +38,15 @@ def _counts_text(
 
 
 def _item_text(item_report: ItemReport) -> str:
-    return f"{item_report.item.output}{values_text(item_report.item.values)}"
+    return f"{item_report.item.output}{variant_text(item_report.item.variant_values)}"
 
 
 def _error_text(item_report: ItemReport) -> str:
-    assert item_report.measured is not None
-    error = length_text(item_report.measured.error, 2)
-    return f"{item_report.item.output} {error} (joint {item_report.measured.joint!r})"
+    assert item_report.measurements is not None
+    error = length_text(item_report.measurements.error, 2)
+    return (
+        f"{item_report.item.output} {error} (joint {item_report.measurements.joint!r})"
+    )
 
 
 def finished_text(item_report: ItemReport, number: int, total: int) -> str:
@@ -55,10 +57,10 @@ def finished_text(item_report: ItemReport, number: int, total: int) -> str:
     return f"{prefix} ({item_report.reason}) {item_report.seconds:.2f} s"
 
 
-def openjd_lines(inner_listener: Listener, namer: ArgumentNamer) -> Listener:
+def openjd_lines(inner_listener: RunListener, namer: ArgumentNamer) -> RunListener:
     """Return a listener that prints OpenJD lines and forwards events to another one."""
 
-    class OpenJdLines(Listener):
+    class OpenJdLines(RunListener):
         """Prints the progress, status and failures of a batch for OpenJD."""
 
         def __init__(self) -> None:
@@ -116,7 +118,7 @@ BAR_WIDTH = 40
 
 
 @contextmanager
-def show_progress(console: Console, *, prints_json: bool) -> Iterator[Listener]:
+def show_progress(console: Console, *, prints_json: bool) -> Iterator[RunListener]:
     """Yield a listener that shows the progress of a run."""
     if not console.is_live():
         yield _line_listener(console, prints_json=prints_json)
@@ -132,8 +134,8 @@ def show_progress(console: Console, *, prints_json: bool) -> Iterator[Listener]:
         yield listener
 
 
-def _line_listener(console: Console, *, prints_json: bool) -> Listener:
-    class TextLines(Listener):
+def _line_listener(console: Console, *, prints_json: bool) -> RunListener:
+    class TextLines(RunListener):
         """Prints one line for each finished item."""
 
         due_count = ended_count = 0
@@ -165,13 +167,13 @@ def _line_listener(console: Console, *, prints_json: bool) -> Listener:
 
 def _table_listener(
     console: Console, *, prints_json: bool
-) -> tuple[Listener, Callable[[], RenderableType]]:
+) -> tuple[RunListener, Callable[[], RenderableType]]:
     from rich.console import Group
     from rich.progress_bar import ProgressBar
     from rich.table import Table
     from rich.text import Text
 
-    class ProgressListener(Listener):
+    class ProgressListener(RunListener):
         """Tracks finished, failed and running items with their start times."""
 
         due_count = ended_count = failed_count = 0

@@ -206,7 +206,7 @@ def ik(console: Console, /, **params: Any) -> None:
         _print_table(console, params)
         return
     if skip_existing_outputs(
-        console, "ik", params, output, lambda: _ik_job(params).target.files
+        console, "ik", params, output, lambda: _ik_job(params).solved_output.files
     ):
         return
     from animtool.cli.ik_summary import SOLVE_TEMPLATE

@@ -31,12 +31,13 @@ def _limit_texts(counts: dict[str, int]) -> list[str]:
 SOLVE_TEMPLATE = Template(
     "animtool.scene.solves.ik:IkReport",
     (
-        "{solved.tracks.path}: [{goals:n goal}|0 goals], {span}",
-        "  {solved.problem.joints:n joint moves/joints move}, "
-        "{solved.problem.degrees:n degree} of freedom for "
-        "{solved.problem.rows:n condition}",
-        "  [{solved:ends}]; {solved.mean_iterations:plain} iterations per frame, "
-        "{solved.restarts:n restart}, {solved.seconds_per_frame:duration} per frame",
+        "{solution.tracks.path}: [{goals:n goal}|0 goals], {span}",
+        "  {solution.problem.joints:n joint moves/joints move}, "
+        "{solution.problem.degrees:n degree} of freedom for "
+        "{solution.problem.rows:n condition}",
+        "  [{solution:ends}]; {solution.mean_iterations:plain} iterations per frame, "
+        "{solution.restarts:n restart}, "
+        "{solution.seconds_per_frame:duration} per frame",
         Each(
             "goals",
             (
@@ -51,12 +52,12 @@ SOLVE_TEMPLATE = Template(
                 ),
             ),
         ),
-        "[  at their limits: {solved.limit_counts:limits | list 8}]",
+        "[  at their limits: {solution.limit_counts:limits | list 8}]",
         "[  written: {outputs:join}]",
         Each("channels:channels", ("    {self}",)),
         "[{?is_renumbered}  goals and joints have solved frames "
-        "{solved.take.clock.span}; frame {solved.take.clock.start:frame} is written as "
-        "{span.first:frame}]",
+        "{solution.take.clock.span}; frame {solution.take.clock.start:frame} is "
+        "written as {span.first:frame}]",
     ),
     {
         "size": _miss_text,
@@ -64,7 +65,7 @@ SOLVE_TEMPLATE = Template(
         "limits": _limit_texts,
         "channels": channel_lines,
     },
-    ("joints that move: {solved.problem.joints:join}", SECONDS),
+    ("joints that move: {solution.problem.joints:join}", SECONDS),
 )
 MATCH_TEMPLATE = Template(
     "animtool.scene.solves.ik_match:MatchReport",

@@ -88,7 +88,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
         CutArguments,
         batch_bundle,
         chunk_size,
-        mean_seconds,
+        mean_item_seconds,
         write_bundle,
     )
     from animtool.batch.discover import find_batch
@@ -105,7 +105,7 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     console.faults(resolved_batch.notices)
     check_output_files(resolved_batch)
     costs = params["costs"]
-    seconds = None if costs is None else mean_seconds(costs)
+    seconds = None if costs is None else mean_item_seconds(costs)
     item_count = len(resolved_batch.items)
     chunk_items = params["chunk"] or chunk_size(
         item_count, seconds, params["task_seconds"]

@@ -96,7 +96,7 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
         BakeOptions(overwrite=params["overwrite"], strict=params["strict"]),
     )
     if skip_existing_outputs(
-        console, "mocap face", params, job.output, lambda: job.target.files
+        console, "mocap face", params, job.output, lambda: job.solved_output.files
     ):
         return
     with atomic_command(), console.progress(f"face {landmarks.name}") as progress:

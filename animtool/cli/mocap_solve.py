@@ -115,7 +115,7 @@ def solve(
         read_output_options(params, strict=params["strict"]),
     )
     if skip_existing_outputs(
-        console, "mocap solve", params, output, lambda: job.target.files
+        console, "mocap solve", params, output, lambda: job.solved_output.files
     ):
         return
     with console.progress(f"solve {source.name}", is_stdout=is_stdout) as progress:

@@ -182,7 +182,7 @@ def retarget(
         ),
     )
     if skip_existing_outputs(
-        console, "retarget", params, output, lambda: job.target.files
+        console, "retarget", params, output, lambda: job.solved_output.files
     ):
         return
     with console.progress(f"retarget {source.name}", is_stdout=is_stdout) as progress:

@@ -82,7 +82,7 @@ CONVERT_TEMPLATE = Template(
         "{reduction.joint:repr}, frame {reduction.frame:next} of {frames})]]",
         "[{?reduction.weight_error}  largest error of a shape's weight: "
         "{reduction.weight_error:plain}]",
-        Each("keyed.errors:channels", ("  {self}",)),
+        Each("keyed_take.errors:channels", ("  {self}",)),
     ),
     _PRINTERS,
 )
@@ -104,8 +104,8 @@ def _frames_text(take: str) -> str:
     """Return the template that states the source frames if the take was resampled."""
     return (
         f"[{{?{take}resampled}}, from {{{take}source_frames:n frame}} at "
-        f"{{{take}source_fps:rate}}][{{?{take}between}}, {{{take}between}} of which "
-        "fall between frames]"
+        f"{{{take}source_fps:rate}}][{{?{take}between_frames}}, "
+        f"{{{take}between_frames}} of which fall between frames]"
     )
 
 
@@ -167,7 +167,7 @@ def mesh_groups(meshes: Sequence[MeshReport]) -> list[dict[str, Any]]:
     """Return the deformed and the simulated meshes as groups with titles."""
     groups = []
     for is_simulated, title_of in ((False, _deformed_text), (True, _simulated_text)):
-        group_meshes = [mesh for mesh in meshes if mesh.simulated is is_simulated]
+        group_meshes = [mesh for mesh in meshes if mesh.is_simulated is is_simulated]
         if group_meshes:
             groups.append({"title": title_of(group_meshes), "meshes": group_meshes})
     return groups
@@ -194,7 +194,7 @@ _NOUNS = {"rigid": ("body", "bodies"), "crowds": ("agent",)}
 def _point_count_text(mesh: MeshReport) -> str:
     """Format the count of a mesh's vertices, particles, bodies or agents."""
     vertex_count = mesh.written.vertices
-    if not mesh.simulated:
+    if not mesh.is_simulated:
         return counted(vertex_count, "vertex", "vertices")
     text = counted(vertex_count, *_NOUNS.get(mesh.kind, ("particle",)))
     return f"up to {text}" if mesh.kind == "particles" else text
@@ -224,19 +224,20 @@ BAKE_TEMPLATE = Template(
         f"{_frames_text('only.')}"
         "|{takes:n take}, {span}]",
         SHOT_SUFFIX,
-        "[{?posed}  {result.joints:n joint}, [{result.sampled:and}|nothing] animated]",
-        f"[{{?posed}}{_PROPS}",
+        "[{?has_joints}  {result.joints:n joint}, "
+        "[{result.sampled:and}|nothing] animated]",
+        f"[{{?has_joints}}{_PROPS}",
         _MESHES,
-        f"[{{!posed}}{_PROPS}",
-        "  {up} up, lengths in {units}[{?unit_assumed}; the source is assumed to be "
+        f"[{{!has_joints}}{_PROPS}",
+        "  {up} up, lengths in {units}[{?is_unit_assumed}; the source is assumed to be "
         "in cm (--units)]",
         "  {result.bytes:size} written in {seconds.total:duration}"
-        "[{?posed}{?source_bytes}, {self:speed}/s of source]",
-        "[{?posed}  largest error of {worst:rounded}[{notices:beyond}]: "
+        "[{?has_joints}{?source_bytes}, {self:speed}/s of source]",
+        "[{?has_joints}  largest error of {worst:rounded}[{notices:beyond}]: "
         "{worst.written.rounding.error:length 2}[{?worst.written.rounding.error} "
         f"([{{?library}}take {{worst.written.name:repr}}, ]"
         f"{_LOCATION.replace('@', 'worst.')})]]",
-        Each("only:posed", _reduction_lines("  ")),
+        Each("only:with_joints", _reduction_lines("  ")),
         Each(
             "library",
             (
@@ -260,7 +261,7 @@ BAKE_TEMPLATE = Template(
         "speed": lambda bake: size_text(bake.source_bytes / bake.seconds["total"]),
         "rounded": _precision_text,
         "beyond": _beyond_limits_text,
-        "posed": lambda take: [take] if take.posed else [],
+        "with_joints": lambda take: [take] if take.has_joints else [],
         "knots": lambda curves: counted(sum(curve.knots for curve in curves), "knot"),
         "difference": _curve_error_text,
         "stated": lambda values: ", ".join(

@@ -176,7 +176,7 @@ class CurveReader:
         for k in np.flatnonzero(np.abs(times) > MAX_FRAME).tolist():
             message = f"frame {times[k]:g} is beyond {MAX_FRAME:.0e}"
             self._add("CLIP004", ("keys", k, "t"), message)
-        for k, previous in self.document.not_ascending(
+        for k, previous in self.document.unordered_entries(
             (*self.location, "keys"), times.tolist(), "t"
         ):
             message = f"frame {times[k]:g} comes before the key at {times[previous]:g}"
@@ -272,7 +272,9 @@ class CurveReader:
                     number_text = counted(len(value_row), "number")
                     message = f"{number_text} instead of {component_count}"
                     if not hint:
-                        hint = self.document.decimal_commas(location, component_count)
+                        hint = self.document.decimal_comma_hint(
+                            location, component_count
+                        )
                     self.document.add("CLIP007", location, message, hint)
                     shown_hints |= {hint} if hint else set()
                 continue

@@ -29,8 +29,8 @@ from animtool.documents.check import check_version, validate_document
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME, MAX_NUMBER
 from animtool.documents.references import (
-    missing_hint,
     resolve_reference,
+    similar_file_hint,
     split_reference,
 )
 from animtool.rig.joints import split_part
@@ -111,7 +111,7 @@ def _load_keys(
     )
     reason = None if path is None else not_a_file_reason(path)
     if reason is not None:
-        hint = missing_hint(document, file_name)
+        hint = similar_file_hint(document, file_name)
         document.add("DOC015", location, f"{file_name!r} {reason}", hint)
     if path is None or reason is not None:
         return []
@@ -151,7 +151,7 @@ def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
 def _raise_missing_rig(file: ClipFile) -> NoReturn:
     """Raise the faults of a clip whose rig is missing."""
     message = f"{file.model.rig!r} does not exist"
-    suggestion = missing_hint(file.document, file.model.rig or "")
+    suggestion = similar_file_hint(file.document, file.model.rig or "")
     other_rig_text = f"pass another rig with {argument('source.rig')}"
     hint = clause(other_rig_text)
     if suggestion:

@@ -26,6 +26,8 @@ MAX_NAME_LENGTH = 120
 MAX_LISTED_NAMES = 24
 # Pattern of variable names.
 VARIABLE_NAME = r"[A-Za-z_][A-Za-z0-9_]*"
+# Suffixes of YAML and JSON files.
+DOCUMENT_FILE_SUFFIXES = (".yaml", ".yml", ".json")
 # Kinds that the first line of a file may name, and its file name too. A batch names a
 # scene, and others their rig, which is therefore last.
 FILE_KINDS = (

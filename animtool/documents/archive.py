@@ -54,12 +54,12 @@ class ArrayFile(Protocol):
     """A seekable binary file that contains arrays."""
 
     def read(self, size: int, /) -> bytes:
-        """Return the next bytes."""
+        """Return up to `size` bytes from the current position."""
 
 
 @dataclass(frozen=True, slots=True)
-class StoredArray:
-    """Header of an array: the type, the shape, and the location of its values."""
+class ArrayHeader:
+    """Header of a stored array: the type, the shape, and the offset of its values."""
 
     shape: tuple[int, ...]  # lengths of its dimensions
     dtype: np.dtype[Any]
@@ -73,7 +73,7 @@ class StoredArray:
 
     @property
     def count(self) -> int:
-        """Number of values."""
+        """Number of values: the product of the lengths in its shape."""
         return math.prod(self.shape)
 
     @property
@@ -82,12 +82,12 @@ class StoredArray:
         return self.count * self.dtype.itemsize
 
 
-def read_header(file: ArrayFile, array_label: str) -> StoredArray:
+def read_header(file: ArrayFile, array_label: str) -> ArrayHeader:
     """Return the header of an array without reading its values."""
-    start = file.read(len(NPY_MAGIC) + 2)
-    version = tuple(start[len(NPY_MAGIC) :])
+    preamble = file.read(len(NPY_MAGIC) + 2)
+    version = tuple(preamble[len(NPY_MAGIC) :])
     length_size = _LENGTH_FIELD_SIZES.get(version)  # type: ignore[arg-type]
-    if not start.startswith(NPY_MAGIC) or length_size is None:
+    if not preamble.startswith(NPY_MAGIC) or length_size is None:
         raise ArrayError(f"{array_label} is not an array as numpy.savez writes it")
     length = int.from_bytes(file.read(length_size), "little")
     if length > MAX_HEADER_BYTES:
@@ -96,11 +96,11 @@ def read_header(file: ArrayFile, array_label: str) -> StoredArray:
     text = file.read(length)
     if len(text) < length:
         raise ArrayError(f"{array_label} ends in its header")
-    begin = len(start) + length_size + length
+    begin = len(preamble) + length_size + length
     return _parse_header(text.decode("latin-1"), array_label, begin)
 
 
-def _parse_header(text: str, array_label: str, begin: int) -> StoredArray:
+def _parse_header(text: str, array_label: str, begin: int) -> ArrayHeader:
     if _OBJECT_DTYPE.search(text):
         raise ArrayError(f"{array_label} contains pickled Python objects")
     if _STRUCTURED_DTYPE.search(text):
@@ -108,14 +108,14 @@ def _parse_header(text: str, array_label: str, begin: int) -> StoredArray:
     text = text.strip()
     fields: dict[str, str] = {}
     if text.startswith("{") and text.endswith("}"):
-        unparsed = text[1:-1].strip()
-        while unparsed and (match := _HEADER_ENTRY.match(unparsed)):
+        unparsed_text = text[1:-1].strip()
+        while unparsed_text and (match := _HEADER_ENTRY.match(unparsed_text)):
             value = match[match["key"]]
             if value is None or match["key"] in fields:
                 break
             fields[match["key"]] = value
-            unparsed = unparsed[match.end() :].strip()
-        if unparsed:
+            unparsed_text = unparsed_text[match.end() :].strip()
+        if unparsed_text:
             fields.clear()
     if len(fields) < 3:
         raise ArrayError(f"{array_label} has a header that is not that of an array")
@@ -126,7 +126,7 @@ def _parse_header(text: str, array_label: str, begin: int) -> StoredArray:
         raise ArrayError(message) from error
     shape = _parse_shape(fields["shape"], array_label)
     order: Literal["C", "F"] = "F" if fields["fortran_order"] == "True" else "C"
-    return StoredArray(shape, dtype, order, begin)
+    return ArrayHeader(shape, dtype, order, begin)
 
 
 def _parse_shape(text: str, array_label: str) -> tuple[int, ...]:
@@ -145,10 +145,10 @@ def _parse_shape(text: str, array_label: str) -> tuple[int, ...]:
 # override it.
 DEFAULT_ARRAY_LIMIT = 1_000_000_000
 ARRAY_LIMIT_VARIABLE = "ANIMTOOL_MAX_ARRAY_MB"
-# Largest compression ratio of arrays above SMALL_BYTES. Zeros compress a thousandfold,
-# but real arrays are less than half zeros.
+# Largest compression ratio of arrays above SMALL_ARRAY_BYTES. Zeros compress a
+# thousandfold, but real arrays are less than half zeros.
 MAX_COMPRESSION_RATIO = 100
-SMALL_BYTES = 64_000_000
+SMALL_ARRAY_BYTES = 64_000_000
 # Limit of an archive's directory: some hundred thousand arrays.
 MAX_DIRECTORY_BYTES = 8_000_000
 MAX_SHOWN_NAMES = 12
@@ -169,7 +169,7 @@ _DAMAGE_ERRORS = (
 
 @contextmanager
 def archive_errors(path: Path) -> Iterator[None]:
-    """In a block, convert exceptions of reading an archive to `ArrayError`."""
+    """Convert exceptions raised in a block that reads an archive to `ArrayError`."""
     try:
         yield
     except ArrayError:
@@ -201,19 +201,19 @@ class Archive:
                     f"{path.name} is a single array, as numpy.save writes, not an "
                     "archive of named ones, as numpy.savez does"
                 )
-            bounded_file = _DirectoryLimitedFile(self._file)
-            self._zip = _open_zip(bounded_file, head, path)
-            bounded_file.limit = None
+            limited_file = _DirectoryLimitedFile(self._file)
+            self._zip = _open_zip(limited_file, head, path)
+            limited_file.limit = None
             self._members, self._duplicates = self._read_directory()
         except BaseException:
             self._file.close()
             raise
-        self._headers: dict[str, StoredArray] = {}
+        self._headers: dict[str, ArrayHeader] = {}
         self._sizes: dict[str, int] = {}
         self._total_size = 0
 
     def close(self) -> None:
-        """Close the file."""
+        """Close the archive and the file below it."""
         self._zip.close()
         self._file.close()
 
@@ -221,8 +221,8 @@ class Archive:
         """Return whether the archive contains an array."""
         return key in self._members
 
-    def header(self, key: str, kinds: str = "fiub") -> StoredArray:
-        """Return the header of an array, after checking its length."""
+    def header(self, key: str, kinds: str = "fiub") -> ArrayHeader:
+        """Return the header of an array; raise an error if its values are truncated."""
         if key not in self._headers:
             info = self._zip_entry(key)
             array_label = f"{self._path.name}#{key}"
@@ -232,9 +232,9 @@ class Archive:
             if header.dtype.kind not in kinds:
                 raise ArrayError(f"{array_label} contains {header.dtype}, not numbers")
             # A dimension of 0 makes the size 0, however large the other dimensions are.
-            limit = max(info.file_size, SMALL_BYTES)
-            count = math.prod(max(length, 1) for length in header.shape)
-            is_implausible = not header.count and count > limit
+            limit = max(info.file_size, SMALL_ARRAY_BYTES)
+            min_count = math.prod(max(length, 1) for length in header.shape)
+            is_implausible = not header.count and min_count > limit
             if header.begin + header.size > info.file_size or is_implausible:
                 message = f"{array_label} is shorter than its shape {header.shape}"
                 raise ArrayError(message)
@@ -251,7 +251,7 @@ class Archive:
         return list(self._members)
 
     def texts(self, key: str) -> list[str]:
-        """Return the texts of a one-dimensional array."""
+        """Return the texts of a one-dimensional array, such as names of joints."""
         header = self.header(key, "fiubU")
         if header.dtype.kind != "U" or len(header.shape) != 1:
             raise ArrayError(f"{self._path.name}#{key} is not a list of texts")
@@ -264,7 +264,7 @@ class Archive:
             raise ArrayError(f"{self._path.name}#{key} is not text")
         return str(self._values(key, header))
 
-    def _values(self, key: str, header: StoredArray) -> npt.NDArray[Any]:
+    def _values(self, key: str, header: ArrayHeader) -> npt.NDArray[Any]:
         info = self._zip_entry(key)
         # Values are converted to float64 for computation, whatever type is stored.
         self._check_size(key, info, max(info.file_size, 8 * header.count))
@@ -311,7 +311,7 @@ class Archive:
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
         """Raise an error for an array that is larger than the memory limit."""
         total_size = self._total_size - self._sizes.get(key, 0) + size
-        max_size = max(SMALL_BYTES, MAX_COMPRESSION_RATIO * info.compress_size)
+        max_size = max(SMALL_ARRAY_BYTES, MAX_COMPRESSION_RATIO * info.compress_size)
         is_plausible = size <= max_size
         if total_size > DEFAULT_ARRAY_LIMIT or not is_plausible:
             configured_limit = _configured_limit(self._path)
@@ -359,8 +359,8 @@ def _configured_limit(path: Path) -> int | None:
             message = f"{ARRAY_LIMIT_VARIABLE} is {text[:40]!r}, not a number of MB"
             raise ArrayError(message)
         return int(text) * 1_000_000
-    configured = find_config(path).max_array_mb
-    return None if configured is None else configured * 1_000_000
+    limit_mb = find_config(path).max_array_mb
+    return None if limit_mb is None else limit_mb * 1_000_000
 
 
 class _DirectoryLimitedFile:

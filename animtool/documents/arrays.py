@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
-from animtool.documents.archive import Archive, StoredArray, archive_errors
+from animtool.documents.archive import Archive, ArrayHeader, archive_errors
 
 # Files open at once: systems allow a few hundred.
 MAX_OPEN_ARCHIVES = 16
@@ -30,7 +30,7 @@ class Archives:
         self._open: dict[Path, Archive] = {}
 
     def __enter__(self) -> Archives:
-        """Return itself."""
+        """Return the cache for use in a ``with`` block."""
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -38,8 +38,8 @@ class Archives:
         while self._open:
             self._open.popitem()[1].close()
 
-    def header(self, path: Path, key: str) -> StoredArray:
-        """Return the header of an array without its values."""
+    def header(self, path: Path, key: str) -> ArrayHeader:
+        """Return the type and shape of an array without reading its values."""
         with archive_errors(path):
             return self._archive(path).header(key)
 
@@ -49,7 +49,7 @@ class Archives:
             return self._archive(path).values(key)
 
     def has(self, path: Path, key: str) -> bool:
-        """Return whether an array exists."""
+        """Return whether a file has an array of that name."""
         with archive_errors(path):
             return self._archive(path).has(key)
 
@@ -68,7 +68,7 @@ class Archives:
             return self._archive(path).texts(key)
 
     def names(self, path: Path) -> list[str]:
-        """Return the names of the arrays of a file."""
+        """Return the names of the arrays in a file, in the file's order."""
         with archive_errors(path):
             return self._archive(path).names
 

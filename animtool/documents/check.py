@@ -16,17 +16,17 @@ from animtool.documents.document import Document, Location
 from animtool.documents.model_faults import (
     LocatedFaults,
     ModelFaults,
+    faults_of_value,
     intended_choices,
     intended_key_hint,
     warn_renamed_key,
-    wrong_values,
 )
 from animtool.documents.placeholders import set_value_at
 from animtool.documents.versions import (
     MIGRATION_STEPS,
+    kind_and_version,
     newest_version_of,
     renamed_key,
-    version_of,
 )
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ Model = TypeVar("Model", bound=BaseModel)
 Record = TypeVar("Record")
 
 
-class _KeyedModels(ModelMetaclass):
+class _FileModelMeta(ModelMetaclass):
     """Metaclass of models whose fields are declared by `animtool.core.options.key`."""
 
     def __new__(
@@ -51,13 +51,13 @@ class _KeyedModels(ModelMetaclass):
 
 
 def model_field(key: Key, default: Any = MISSING) -> Any:
-    """Return the model field for a key of a file."""
+    """Return a pydantic field with the description and example of a key."""
     options = {} if default is MISSING else {"default": default}
     description, examples = key.description, [key.example]
     return pydantic.Field(description=description, examples=examples, **options)
 
 
-class FileModel(BaseModel, metaclass=_KeyedModels):
+class FileModel(BaseModel, metaclass=_FileModelMeta):
     """Base model of a mapping: strict types, no unknown keys, finite numbers."""
 
     # Nested models are built with their parents, not separately.
@@ -68,7 +68,7 @@ class FileModel(BaseModel, metaclass=_KeyedModels):
 
 def check_version(document: Document, kind: str) -> None:
     """Raise `FormatError` unless a document has the kind and its newest version."""
-    _, version = version_of(document, MIGRATION_STEPS, kind)
+    _, version = kind_and_version(document, MIGRATION_STEPS, kind)
     if version < newest_version_of(MIGRATION_STEPS[kind]):
         message = f"animtool/{version} is an older version"
         document.add("DOC013", (kind,), message, "animtool migrate rewrites it")
@@ -92,10 +92,10 @@ def validate_document(document: Document, model: type[Model]) -> Model:
             ModelFaults(document, model, value).replace_faulty(error)
 
 
-def unknown_options(
+def unknown_option_faults(
     options: Mapping[str, Any], names: Collection[str], owner: str
 ) -> LocatedFaults:
-    """Return a fault for each unknown option."""
+    """Return a fault for each unknown option, with a hint to the nearest name."""
     return [
         ((key,), Fault("SCN001", f"unknown option {key!r} of {owner}", hint=hint))
         for key in options
@@ -104,33 +104,33 @@ def unknown_options(
     ]
 
 
-def record_of_options(
+def record_from_options(
     kind: type[Record], options: Mapping[str, Any], owner: str
 ) -> tuple[Record | None, LocatedFaults]:
     """Return options as a record (None if a value is invalid), and their faults."""
     names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    faults = unknown_options(options, names, owner)
+    faults = unknown_option_faults(options, names, owner)
     known_options = {key: value for key, value in options.items() if key in names}
-    keys = {name: name for name in known_options}
+    key_by_name = {name: name for name in known_options}
     for (key, *_), _fault in faults:
         # A misspelt key is not missing too.
         intended_key = intended_key_hint(str(key), names)[1]
         if intended_key is not None and intended_key not in known_options:
             known_options[intended_key] = options[str(key)]
-            keys[intended_key] = str(key)
+            key_by_name[intended_key] = str(key)
     while True:
         try:
             return TypeAdapter(kind).validate_python(known_options), faults
         except ValidationError as error:
             choices = intended_choices(known_options, error)
             if not choices:
-                wrong_options = wrong_values(known_options, error)
+                value_faults = faults_of_value(known_options, error)
                 break
             known_options = copy.deepcopy(known_options)
             for location, choice in choices:
                 set_value_at(known_options, location, choice)
-    for location, fault in wrong_options:
-        written_keys = [keys.get(str(step), step) for step in location[:1]]
+    for location, fault in value_faults:
+        written_keys = [key_by_name.get(str(step), step) for step in location[:1]]
         faults.append(((*written_keys, *location[1:]), fault))
     return None, faults
 
@@ -146,12 +146,12 @@ def rename_options(
         options: Values by name.
         kind: Kind of the document.
     """
-    result: dict[str, Any] = {}
+    renamed_options: dict[str, Any] = {}
     for key, value in options.items():
         name = renamed_key(kind, (*location, key), value)
         if name is None or name in options:
-            result[key] = value
+            renamed_options[key] = value
         else:
-            result[name] = value
+            renamed_options[name] = value
             warn_renamed_key(document, (*location, key), name)
-    return result
+    return renamed_options

@@ -13,14 +13,14 @@ from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
 from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, expects_format
 from animtool.core.names import FILE_KINDS
 from animtool.core.record import dataclass
-from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED
+from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED_FAULTS
 from animtool.documents.yaml_values import SourceMarks, read_values
 
 Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100
 # Typographic quotes, and the characters that may close each.
-QUOTES = {
+CLOSING_QUOTES = {
     "\u201c": "\u201d\u201c",
     "\u201d": "\u201d",
     "\u2018": "\u2019\u2018",
@@ -29,12 +29,12 @@ QUOTES = {
     "\xab": "\xbb",
     "\xbb": "\xab",
 }
-_TYPOGRAPHIC = frozenset(QUOTES)
+_TYPOGRAPHIC_QUOTES = frozenset(CLOSING_QUOTES)
 # Entries with the same unknown key from which they get a single fault.
-MIN_REPEATED = 3
-_INDEX = re.compile(r"\[\d+\]")
+MIN_MERGED_ENTRIES = 3
+_INDEX_STEP = re.compile(r"\[\d+\]")
 # Longest list that is checked for decimal commas; longer ones are not vectors.
-MAX_SHOWN_NUMBERS = 16
+MAX_VECTOR_LENGTH = 16
 
 
 @dataclass(slots=True)
@@ -66,62 +66,66 @@ class Document:
 
     def position(self, location: Location) -> tuple[int, int]:
         """Return the line and column of a value, or of its nearest written ancestor."""
-        return self._cached_marks().positions[self._index(location)]
+        return self._cached_marks().positions[self._node_index(location)]
 
     def key_position(self, location: Location) -> tuple[int, int]:
         """Return the line and column of a value's key."""
-        index = self._index(location)
-        is_key = index > self._index(location[:-1])
-        return self._cached_marks().positions[index - is_key]
+        index = self._node_index(location)
+        has_key = index > self._node_index(location[:-1])
+        return self._cached_marks().positions[index - has_key]
 
     def source_text(self, location: Location) -> str | None:
         """Return the source text of an unquoted scalar; None for other values."""
-        return self._cached_marks().unquoted.get(self._index(location))
+        return self._cached_marks().unquoted_texts.get(self._node_index(location))
 
-    def decimal_commas(self, location: Location, width: int = 0) -> str | None:
+    def decimal_comma_hint(
+        self, location: Location, expected_count: int = 0
+    ) -> str | None:
         """Return a hint if the numbers of a list have decimal commas, else None.
 
         Args:
             location: Location of the list.
-            width: Number of expected numbers; 0 accepts any number.
+            expected_count: Number of expected numbers; 0 accepts any number.
         """
         value: Any = self.value
         for step in self._written_steps(location):
             value = value.get(step) if isinstance(value, dict) else value[step]
-        if not isinstance(value, list) or len(value) > MAX_SHOWN_NUMBERS:
+        if not isinstance(value, list) or len(value) > MAX_VECTOR_LENGTH:
             return None
         texts = [self.source_text((*location, i)) or "" for i in range(len(value))]
         positions = [self.position((*location, i)) for i in range(len(value))]
-        numbers: list[str] = []
+        number_texts: list[str] = []
         # Where the number before ends, if decimals may follow it.
         expected_position = None
         for text, (line, column) in zip(texts, positions, strict=True):
             if expected_position == (line, column - 1) and text.isdigit():
-                numbers[-1] += f".{text}"
+                number_texts[-1] += f".{text}"
                 expected_position = None
             else:
-                numbers.append(text)
+                number_texts.append(text)
                 is_integer = text.lstrip("-+").isdigit()
                 expected_position = (line, column + len(text)) if is_integer else None
-        if len(numbers) == len(texts) or len(numbers) != (width or len(numbers)):
+        if len(number_texts) == len(texts) or len(number_texts) != (
+            expected_count or len(number_texts)
+        ):
             return None
-        return f"write [{', '.join(numbers)}], with decimal points"
+        return f"write [{', '.join(number_texts)}], with decimal points"
 
     def _cached_marks(self) -> SourceMarks:
         if self._computed_marks is None:
             self._computed_marks = self.marks()
         return self._computed_marks
 
-    def _index(self, location: Location) -> int:
+    def _node_index(self, location: Location) -> int:
         """Return the index in `SourceMarks.positions` of a value or its ancestor."""
         if not self._child_indices:
             self._index_nodes(self.value, 0)
         node: Any = self.value
         index = 0
         for step in self._written_steps(location):
-            start = self._child_indices.get((id(node), step))
-            if start is not None:
-                node, index = node[step], start
+            child_index = self._child_indices.get((id(node), step))
+            if child_index is not None:
+                node, index = node[step], child_index
         return index
 
     def _index_nodes(self, node: Any, index: int) -> int:
@@ -138,6 +142,7 @@ class Document:
         return index
 
     def _written_steps(self, location: Location) -> Iterator[str | int]:
+        """Yield the steps of a location with keys as the file spells them."""
         for depth, step in enumerate(location, 1):
             yield self.old_keys.get(location[:depth], step)
 
@@ -146,18 +151,19 @@ class Document:
 
         A placeholder replaced a faulty value, or its key was a misspelling.
         """
-        unknown = self.placeholders | self.guessed_keys
-        return bool(unknown) and any(
-            location[:depth] in unknown for depth in range(1, len(location) + 1)
+        unknown_locations = self.placeholders | self.guessed_keys
+        return bool(unknown_locations) and any(
+            location[:depth] in unknown_locations
+            for depth in range(1, len(location) + 1)
         )
 
     def has_placeholder_below(self, location: Location) -> bool:
         """Return whether a value inside a location is a placeholder."""
         depth = len(location)
-        unknown = self.placeholders | self.guessed_keys
-        return any(placeholder[:depth] == location for placeholder in unknown)
+        unknown_locations = self.placeholders | self.guessed_keys
+        return any(placeholder[:depth] == location for placeholder in unknown_locations)
 
-    def has_unnamed(self, key: str, *name_keys: str) -> bool:
+    def has_unknown_name(self, key: str, *name_keys: str) -> bool:
         """Return whether a list has an entry whose name is unknown.
 
         A reference to that entry looks like a broken one.
@@ -166,16 +172,16 @@ class Document:
             key: Key of the list.
             name_keys: Keys of an entry's name parts; ``name`` if omitted.
         """
-        names = name_keys or ("name",)
+        name_parts = name_keys or ("name",)
         return key in self.partial_lists or any(
-            location[0] == key and (len(location) < 3 or location[2] in names)
+            location[0] == key and (len(location) < 3 or location[2] in name_parts)
             for location in self.placeholders
         )
 
-    def not_ascending(
+    def unordered_entries(
         self, location: Location, values: Sequence[float], key: str | int
     ) -> Iterator[tuple[int, int]]:
-        """Yield the index of each entry not above its predecessor, and of the latter.
+        """Yield each entry whose value is not above the previous one, as two indices.
 
         Args:
             location: Location of the list.
@@ -197,16 +203,16 @@ class Document:
         message: str,
         hint: str | None = None,
         *,
-        at_key: bool = False,
+        is_at_key: bool = False,
     ) -> None:
         """Record a fault at a location, or its key, unless it is a placeholder."""
         if not self.is_placeholder(location):
             fault = self.fault(code, location, message, hint)
-            if at_key:
+            if is_at_key:
                 line, column = self.key_position(location)
                 fault = replace(fault, lines=(line,), column=column)
             self.faults.append(fault)
-            if len(self.faults) >= MAX_COLLECTED:
+            if len(self.faults) >= MAX_COLLECTED_FAULTS:
                 self.check()
 
     def warn(
@@ -246,8 +252,8 @@ class Document:
     def check(self) -> None:
         """Raise `FormatError` with every recorded fault, in file order."""
         if self.faults:
-            order = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
-            raise FormatError(_first_faults(_merge_unknown_keys(order)))
+            faults = sorted(self.faults, key=lambda f: (f.lines, f.column or 0))
+            raise FormatError(_limited_faults(_merge_unknown_keys(faults)))
 
 
 def location_text(location: Location) -> str:
@@ -263,7 +269,7 @@ def location_text(location: Location) -> str:
 
 
 def parse_location(where: str) -> Location:
-    """Parse the text of a location.
+    """Return the location that a text describes; the inverse of `location_text`.
 
     >>> parse_location("joints[3].axis")
     ('joints', 3, 'axis')
@@ -291,11 +297,11 @@ def with_position(fault: Fault) -> Fault:
     "animtool.open_source read takes of other formats",
 )
 def read_document(path: Path) -> Document:
-    """Read a YAML or JSON file."""
-    return document_of(read_text(path), path)
+    """Read a YAML or JSON file without checking its keys."""
+    return parse_document(read_text(path), path)
 
 
-def document_of(text: str, path: Path) -> Document:
+def parse_document(text: str, path: Path) -> Document:
     """Parse text the way `read_document` parses a file.
 
     Args:
@@ -305,14 +311,14 @@ def document_of(text: str, path: Path) -> Document:
     try:
         value, marks = read_values(text, path)
     except FormatError as error:
-        raise FormatError(_first_faults(error.faults)) from None
+        raise FormatError(_limited_faults(error.faults)) from None
     if not isinstance(value, dict):
         kind = "empty" if value is None else f"a {type(value).__name__}"
         hint = f"start it with a line such as '{kind_of_name(path)}: animtool/1'"
         message = f"is {kind}, not a mapping of keys"
         raise FormatError(Fault("DOC007", message, str(path), (1,), hint, column=1))
     document = Document(path, value, marks)
-    if not _TYPOGRAPHIC.isdisjoint(text):
+    if not _TYPOGRAPHIC_QUOTES.isdisjoint(text):
         document.notices.extend(_typographic_quote_warnings(document))
     return document
 
@@ -320,17 +326,17 @@ def document_of(text: str, path: Path) -> Document:
 def _typographic_quote_warnings(document: Document) -> Iterator[Fault]:
     """Yield a warning about the first value in typographic quotes (DOC103)."""
     marks = document.marks()
-    for index, text in marks.unquoted.items():
+    for index, text in marks.unquoted_texts.items():
         word = text[1:-1]
         # In sentences they are meant.
-        if text[-1] not in QUOTES.get(text[0], "") or " " in word:
+        if text[-1] not in CLOSING_QUOTES.get(text[0], "") or " " in word:
             continue
         line, column = marks.positions[index]
         message = f"typographic quotes are part of the value {text}"
         hint = f'write "{word}" with straight quotes, or {word} without'
-        source = str(document.path), (line,)
+        path_and_lines = str(document.path), (line,)
         warning = Severity.WARNING
-        yield Fault("DOC103", message, *source, hint, warning, column=column)
+        yield Fault("DOC103", message, *path_and_lines, hint, warning, column=column)
         return
 
 
@@ -341,7 +347,7 @@ def kind_of_name(path: Path, default: str = "rig") -> str:
 
 
 def read_text(path: Path) -> str:
-    """Return the text of a file."""
+    """Return the UTF-8 text of a file, without its byte order mark."""
     with open_input(path, None) as file:
         if file.state.size > MAX_TEXT_BYTES:
             message = f"is larger than {MAX_TEXT_BYTES // 1_000_000} MB"
@@ -364,13 +370,13 @@ def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:
     """
     groups: dict[tuple[object, ...], list[Fault]] = {}
     for i, fault in enumerate(faults):
-        entry_key = _INDEX.sub("[]", fault.where or "")
-        is_key_of_entry = fault.code == "DOC020" and entry_key != fault.where
-        key = (fault.message, fault.hint, entry_key if is_key_of_entry else i)
-        groups.setdefault(key, []).append(fault)
+        location_pattern = _INDEX_STEP.sub("[]", fault.where or "")
+        is_entry_key = fault.code == "DOC020" and location_pattern != fault.where
+        group_key = (fault.message, fault.hint, location_pattern if is_entry_key else i)
+        groups.setdefault(group_key, []).append(fault)
     merged_faults = []
     for first, *others in groups.values():
-        if len(others) < MIN_REPEATED - 1:
+        if len(others) < MIN_MERGED_ENTRIES - 1:
             merged_faults += [first, *others]
             continue
         lines = tuple(fault.lines[0] for fault in (first, *others))
@@ -380,7 +386,9 @@ def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:
     return sorted(merged_faults, key=lambda fault: (fault.lines, fault.column or 0))
 
 
-def _first_faults(faults: Sequence[Fault]) -> list[Fault]:
-    """Return the first faults, and one more that counts the others."""
-    suffix = ", and the rest was not checked" if len(faults) >= MAX_COLLECTED else ""
-    return first_faults(faults, MAX_FAULTS, faults[0].path, suffix)
+def _limited_faults(faults: Sequence[Fault]) -> list[Fault]:
+    """Return the first `MAX_FAULTS` faults, and one more that counts the others."""
+    rest_text = (
+        ", and the rest was not checked" if len(faults) >= MAX_COLLECTED_FAULTS else ""
+    )
+    return first_faults(faults, MAX_FAULTS, faults[0].path, rest_text)

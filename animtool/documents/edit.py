@@ -19,7 +19,7 @@ from animtool.core.errors import FormatError
 from animtool.core.names import decimal_text, flow_list
 from animtool.core.names import yaml_scalar as plain_text
 from animtool.core.record import dataclass
-from animtool.documents.document import Location, document_of, location_text
+from animtool.documents.document import Location, location_text, parse_document
 from animtool.documents.yaml_values import compose_yaml
 
 # Escapes and line ends that YAML and JSON interpret differently, each one code unit or
@@ -28,7 +28,7 @@ _JSON_ONLY = re.compile("\\\\u[dD][89a-fA-F][0-9a-fA-F]{2}|[\x85\u2028\u2029]")
 
 
 class EditError(ValueError):
-    """An edit does not apply to the text, or changes more than intended."""
+    """An edit does not apply to the text, or would change more than intended."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,16 +75,16 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
         edits: At most one per location.
     """
     edits = list(edits)
-    source = _SourceText.from_text(text, json=path.suffix == ".json")
+    source = _SourceText.from_text(text, is_json=path.suffix == ".json")
     splices = sorted((source.splice_of(e) for e in edits), key=lambda splice: splice[0])
     edited_text = text
     for start, end, replacement in reversed(splices):
         edited_text = edited_text[:start] + replacement + edited_text[end:]
-    value = copy.deepcopy(document_of(text, path).value)
+    expected_value = copy.deepcopy(parse_document(text, path).value)
     for edit in edits:
-        _apply(value, edit)
+        _apply_edit(expected_value, edit)
     # The edit is accepted only if the new text parses to the expected values.
-    if _parses_to(edited_text, path, value):
+    if _parses_to(edited_text, path, expected_value):
         return edited_text
     locations = ", ".join(location_text(edit.location) for edit in edits)
     raise EditError(f"the layout around {locations} cannot be preserved")
@@ -93,16 +93,16 @@ def apply_edits(text: str, path: Path, edits: Iterable[Edit]) -> str:
 def _parses_to(text: str, path: Path, value: Any) -> bool:
     """Return whether a text parses to the expected values; False if it is malformed."""
     try:
-        return bool(document_of(text, path).value == value)
+        return bool(parse_document(text, path).value == value)
     except FormatError:
         return False
 
 
-def _apply(value: Any, edit: Edit) -> None:
-    """Apply an edit to parsed values."""
-    parent = edit.location if isinstance(edit, Add) else edit.location[:-1]
+def _apply_edit(value: Any, edit: Edit) -> None:
+    """Apply an edit to parsed values, in place."""
+    parent_location = edit.location if isinstance(edit, Add) else edit.location[:-1]
     node = value
-    for step in parent:
+    for step in parent_location:
         node = node[step]
     match edit:
         case Add():
@@ -120,31 +120,31 @@ TextSplice = tuple[int, int, str]
 
 @dataclass(frozen=True, slots=True)
 class _SourceText:
-    """A text with its YAML nodes."""
+    """A text with its YAML nodes, from which edits are located."""
 
     text: str  # content of the file
     root: Any  # its outermost node
-    json: bool  # whether the text is JSON
+    is_json: bool  # whether the text is JSON
     newline: str  # line separator
 
     @classmethod
-    def from_text(cls, text: str, *, json: bool) -> _SourceText:
+    def from_text(cls, text: str, *, is_json: bool) -> _SourceText:
         yaml_text = _JSON_ONLY.sub(lambda match: "_" * len(match[0]), text)
-        root = compose_yaml(yaml_text if json else text)
-        return cls(text, root, json, "\r\n" if "\r\n" in text else "\n")
+        root = compose_yaml(yaml_text if is_json else text)
+        return cls(text, root, is_json, "\r\n" if "\r\n" in text else "\n")
 
     def splice_of(self, edit: Edit) -> TextSplice:
         """Return the range of the text that an edit replaces, and its new text."""
         match edit:
             case Replace(location, value):
-                return self._replacement_text(self._node_at(location), value)
+                return self._replacement_splice(self._node_at(location), value)
             case Rename((*parent_path, key), name):
                 key_node, _ = self._key_and_value(tuple(parent_path), str(key))
-                return self._replacement_text(key_node, name)
+                return self._replacement_splice(key_node, name)
             case Add(location, key, value):
-                return self._added_text(self._node_at(location), key, value)
+                return self._addition_splice(self._node_at(location), key, value)
             case Remove((*parent_path, step)):
-                return self._removed_range(self._node_at(tuple(parent_path)), step)
+                return self._removal_splice(self._node_at(tuple(parent_path)), step)
         raise EditError(f"{location_text(edit.location)} cannot be edited")
 
     def _node_at(self, location: Location) -> Any:
@@ -163,23 +163,23 @@ class _SourceText:
                 return name, value
         raise EditError(f"{location_text((*parent, key))} does not exist")
 
-    def _replacement_text(self, node: Any, value: str) -> TextSplice:
+    def _replacement_splice(self, node: Any, value: str) -> TextSplice:
         """Return the splice that writes a text in the quote style of the old value."""
         style = getattr(node, "style", None)
         new_text = _plain_or_quoted(value)
         if style == '"':
             json_text = json.dumps(value, ensure_ascii=False)
-            new_text = json_text if self.json else _quoted_text(value)
+            new_text = json_text if self.is_json else _quoted_text(value)
         elif style == "'" and value.isprintable():
-            escaped = value.replace("'", "''")
-            new_text = f"'{escaped}'"
+            escaped_text = value.replace("'", "''")
+            new_text = f"'{escaped_text}'"
         return node.start_mark.index, node.end_mark.index, new_text
 
-    def _added_text(self, node: Any, key: str, value: Any) -> TextSplice:
+    def _addition_splice(self, node: Any, key: str, value: Any) -> TextSplice:
         if not node.value:
             raise EditError(f"no key next to {key!r}")
         entry = f"{plain_text(key)}: {_flow_text(value)}"
-        if self.json:
+        if self.is_json:
             entry = f"{json.dumps(key)}: {json.dumps(value)}"
         end = _value_end(node.value[-1][1])
         if node.flow_style:
@@ -190,20 +190,20 @@ class _SourceText:
             return next_line, next_line, f"{indent}{entry}{self.newline}"
         return next_line, next_line, f"{self.newline}{indent}{entry}"
 
-    def _removed_range(self, node: Any, step: str | int) -> TextSplice:
+    def _removal_splice(self, node: Any, key_or_index: str | int) -> TextSplice:
         entry_bounds = list(_entry_bounds(node))
-        index = step
+        index = key_or_index
         if isinstance(index, str):
             index = [name.value for name, _ in entry_bounds].index(index)
-        first, last = entry_bounds[index]
-        start, end = first.start_mark.index, _value_end(last)
+        first_node, last_node = entry_bounds[index]
+        start, end = first_node.start_mark.index, _value_end(last_node)
         if node.flow_style:
             if index + 1 < len(entry_bounds):
                 next_start = entry_bounds[index + 1][0].start_mark.index
-                end = self._end_after_comma(end, next_start)
+                end = self._start_after_comma(end, next_start)
             elif index:
                 start = _value_end(entry_bounds[index - 1][1])
-                self._end_after_comma(start, first.start_mark.index)
+                self._start_after_comma(start, first_node.start_mark.index)
             return start, end, ""
         line = self.text.rfind("\n", 0, start) + 1
         if self.text[line:start].strip() not in {"", "-"}:
@@ -217,11 +217,11 @@ class _SourceText:
         newline = self.text.find("\n", end)
         return len(self.text) if newline < 0 else newline + 1
 
-    def _end_after_comma(self, end: int, start: int) -> int:
-        """Return the end of a range; raise an error if it has more than a comma."""
-        if self.text[end:start].strip() != ",":
+    def _start_after_comma(self, value_end: int, next_start: int) -> int:
+        """Return where the next entry starts; refuse a comment between the two."""
+        if self.text[value_end:next_start].strip() != ",":
             raise EditError("a comment separates it from the next")
-        return start
+        return next_start
 
 
 def _entry_bounds(node: Any) -> Iterator[tuple[Any, Any]]:
@@ -233,8 +233,8 @@ def _entry_bounds(node: Any) -> Iterator[tuple[Any, Any]]:
 def _value_end(node: Any) -> int:
     """Return the end of a value; a block collection ends where its last value ends."""
     while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
-        last = node.value[-1]
-        node = last[1] if isinstance(last, tuple) else last
+        last_entry = node.value[-1]
+        node = last_entry[1] if isinstance(last_entry, tuple) else last_entry
     return cast(int, node.end_mark.index)
 
 
@@ -248,7 +248,7 @@ def _flow_text(value: Any) -> str:
 def _plain_or_quoted(value: str) -> str:
     """Return a text without quotes if it parses to itself in brackets, else quoted."""
     try:
-        parsed_value = document_of(f"a: [{value}]", Path("a.yaml")).value
+        parsed_value = parse_document(f"a: [{value}]", Path("a.yaml")).value
     except FormatError:
         return plain_text(value)
     return value if parsed_value == {"a": [value]} else plain_text(value)

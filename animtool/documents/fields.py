@@ -67,7 +67,7 @@ Quaternion = Annotated[list[Real], Len(4, 4)]
 
 
 def shared_key(text: str, example: Any) -> Any:
-    """Return the annotation for a type of key that several models use."""
+    """Return a field with the description and example of a key that models share."""
     return model_field(Key(text, example))
 
 
@@ -84,8 +84,8 @@ def check_numbers(value: Any) -> Any:
             name = ".".join(keys)
             # Formatting a very long integer as decimal takes quadratic time.
             is_float = isinstance(number, float)
-            text = f"{number:g}" if is_float else f"{number:#x}"[:20] + "…"
-            message = f"{name} is {text}, not a finite number up to {limit:g}"
+            number_text = f"{number:g}" if is_float else f"{number:#x}"[:20] + "…"
+            message = f"{name} is {number_text}, not a finite number up to {limit:g}"
             raise ValueError(message)
     return value
 
@@ -93,13 +93,13 @@ def check_numbers(value: Any) -> Any:
 def _numbers(
     value: Any, keys: tuple[str, ...]
 ) -> Iterator[tuple[tuple[str, ...], float]]:
-    """Yield every number in nested mappings and lists with its location."""
+    """Yield every number in nested mappings and lists, with the keys above it."""
     if isinstance(value, Mapping):
-        for key, item in value.items():
-            yield from _numbers(item, (*keys, str(key)))
+        for key, nested_value in value.items():
+            yield from _numbers(nested_value, (*keys, str(key)))
     elif isinstance(value, list):
-        for item in value:
-            yield from _numbers(item, keys)
+        for nested_value in value:
+            yield from _numbers(nested_value, keys)
     elif isinstance(value, (int, float)) and not isinstance(value, bool):
         yield keys, value
 
@@ -182,8 +182,8 @@ def with_fields(
             for name in get_annotations(model)
             if name in model.model_fields
         }
-        declared = list(declared_keys.items())
-        index = list(declared_keys).index(before_key) if before_key else len(declared)
+        entries = list(declared_keys.items())
+        index = list(declared_keys).index(before_key) if before_key else len(entries)
         keys = keys_of(record, file_kind)
         new_fields: dict[str, Any] = {}
         for name in names or keys:
@@ -191,15 +191,15 @@ def with_fields(
             if names or key not in model.model_fields:
                 type_, default = _type_and_default(record, name, keys[name], ranges)
                 new_fields[key] = type_, model_field(keys[name], default)
-        definitions = [*declared[:index], *new_fields.items(), *declared[index:]]
+        field_definitions = [*entries[:index], *new_fields.items(), *entries[index:]]
         ranks = {key: rank for rank, key in enumerate(order)}
-        definitions.sort(key=lambda entry: ranks.get(entry[0], len(order)))
+        field_definitions.sort(key=lambda entry: ranks.get(entry[0], len(order)))
         model_type: Any = create_model(
             model.__name__,
             __base__=model.__bases__,
             __module__=model.__module__,
             __doc__=model.__doc__,
-            **dict(definitions),
+            **dict(field_definitions),
         )
         for name in vars(model).keys() & model.__class_vars__:
             setattr(model_type, name, vars(model)[name])
@@ -211,7 +211,7 @@ def with_fields(
 RecordT = TypeVar("RecordT")
 
 
-def record_of(
+def record_from_model(
     record: type[RecordT], model: FileModel, **extra_arguments: Any
 ) -> RecordT:
     """Return a record from the equally named fields of a model and extra arguments."""
@@ -236,14 +236,16 @@ def _is_infinite(default: Any) -> bool:
 def _type_and_default(
     record: Any, name: str, key: Key, ranges: Ranges
 ) -> tuple[Any, Any]:
-    """Return the type and the default of a key."""
+    """Return the type and the default of the key that a field of a record gets."""
     option = options_of(record).get(name)
     if option is not None:
         kind = option.kind
         type_ = Literal[key.choices] | None if kind == "choice" else _FILE_TYPES[kind]
         return type_, _DEFAULTS.get(kind)
-    hint = get_type_hints(record, include_extras=True)[name]
-    type_, *constraints = get_args(hint) if get_origin(hint) is Annotated else (hint,)
+    annotation = get_type_hints(record, include_extras=True)[name]
+    type_, *constraints = (
+        get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
+    )
     type_ = Literal[key.choices] if key.choices else _KEY_TYPES.get(type_, type_)
     (default,) = (r.default for r in fields(record) if r.name == name)
     if _is_infinite(default):

@@ -9,18 +9,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import AnimtoolError, Fault, Severity
-from animtool.core.names import name_hint
+from animtool.core.names import DOCUMENT_FILE_SUFFIXES, name_hint
 from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes
 
 if TYPE_CHECKING:
     from animtool.documents.document import Document
 
-# Suffixes of files that may have ``ignore`` entries.
-DOCUMENT_SUFFIXES = (".yaml", ".yml", ".json")
-
-
-_LOCATION_STEP = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
+_STEP_PATTERN = re.compile(r"([^.\[\]]+)|\[([^\[\]]*)\]")
 # Keys that identify an entry of a list.
 _NAME_KEYS = ("name", "target", "joint", "effector")
 
@@ -35,16 +31,16 @@ class IgnoreEntries:
     @classmethod
     def from_document(cls, document: Document) -> IgnoreEntries:
         """Return the entries of a document; its reader refuses malformed ones."""
-        return cls(document, [0] * len(_entries(document)))
+        return cls(document, [0] * len(_ignore_entries(document)))
 
     def hide(self, faults: list[Fault]) -> list[Fault]:
-        """Return the findings that no entry matches."""
-        return [fault for fault in faults if not self._is_hidden(fault)]
+        """Return the findings that no entry matches; count those of the others."""
+        return [fault for fault in faults if not self._match_entries(fault)]
 
     def entry_faults(self) -> Iterator[Fault]:
         """Yield faults of the entries; call this after all findings were matched."""
         rules, _ = all_rules()
-        for i, entry in enumerate(_entries(self.document)):
+        for i, entry in enumerate(_ignore_entries(self.document)):
             code = entry["code"]
             if current_codes(code)[0] not in rules:
                 message = f"unknown code {code!r}"
@@ -58,25 +54,28 @@ class IgnoreEntries:
                 fault = self.document.fault("VAL001", ("ignore", i), message, hint)
                 yield replace(fault, severity=Severity.WARNING)
 
-    def _is_hidden(self, fault: Fault) -> bool:
+    def _match_entries(self, fault: Fault) -> bool:
+        """Return whether an entry matches a finding; count the match of each."""
         if fault.path != str(self.document.path):
             return False
         locations = self._location_variants(fault.where or "")
         is_hidden = False
-        for i, entry in enumerate(_entries(self.document)):
+        for i, entry in enumerate(_ignore_entries(self.document)):
             if fault.code not in current_codes(entry["code"]):
                 continue
             pattern = entry.get("where")
-            if not pattern or any(_matches_location(pattern, at) for at in locations):
+            if not pattern or any(
+                _matches_location(pattern, location) for location in locations
+            ):
                 self.match_counts[i] += 1
                 is_hidden = True
         return is_hidden
 
     def _location_variants(self, where: str) -> list[str]:
-        """Return a location with list entries by number, and by name."""
+        """Return a location as text twice: list entries by number, and by name."""
         node: Any = self.document.value
         text = ""
-        for key, index in _LOCATION_STEP.findall(where):
+        for key, index in _STEP_PATTERN.findall(where):
             if index.isdigit() and isinstance(node, list) and int(index) < len(node):
                 node = node[int(index)]
                 name_keys = _NAME_KEYS if isinstance(node, dict) else ()
@@ -88,7 +87,7 @@ class IgnoreEntries:
         return [where, text.removeprefix(".")]
 
 
-def _entries(document: Document) -> list[dict[str, Any]]:
+def _ignore_entries(document: Document) -> list[dict[str, Any]]:
     value = document.value.get("ignore")
     return [
         entry
@@ -104,8 +103,8 @@ def _matches_location(pattern: str, location: str) -> bool:
     >>> _matches_location("joints[*_l]", location), _matches_location("joint", location)
     (True, False)
     """
-    words = ".*".join(map(re.escape, pattern.split("*")))
-    return re.fullmatch(rf"{words}(?:[.\[].*)?", location) is not None
+    pattern_regex = ".*".join(map(re.escape, pattern.split("*")))
+    return re.fullmatch(rf"{pattern_regex}(?:[.\[].*)?", location) is not None
 
 
 def without_accepted(notices: Sequence[Fault]) -> list[Fault]:
@@ -114,24 +113,24 @@ def without_accepted(notices: Sequence[Fault]) -> list[Fault]:
     Notes report results, so they stay.
     """
     warnings = [notice for notice in notices if notice.severity is Severity.WARNING]
-    accepted: set[Fault] = set()
+    accepted_warnings: set[Fault] = set()
     for path in dict.fromkeys(warning.path for warning in warnings):
-        entries = _entries_of_file(path)
+        entries = _read_ignore_entries(path)
         if entries is not None:
-            accepted.update(set(warnings).difference(entries.hide(warnings)))
-    return [notice for notice in notices if notice not in accepted]
+            accepted_warnings.update(set(warnings).difference(entries.hide(warnings)))
+    return [notice for notice in notices if notice not in accepted_warnings]
 
 
-def _entries_of_file(path: str | None) -> IgnoreEntries | None:
-    """Return the entries of a YAML or JSON file; None if it has none."""
-    if path is None or not path.endswith(DOCUMENT_SUFFIXES):
+def _read_ignore_entries(path: str | None) -> IgnoreEntries | None:
+    """Return the ``ignore`` entries of a YAML or JSON file; None if it has none."""
+    if path is None or not path.endswith(DOCUMENT_FILE_SUFFIXES):
         return None
     # Only files with warnings are read again.
-    from animtool.documents.document import document_of, read_text
+    from animtool.documents.document import parse_document, read_text
 
     try:
         text = read_text(Path(path))
-        document = document_of(text, Path(path)) if "ignore" in text else None
+        document = parse_document(text, Path(path)) if "ignore" in text else None
     except AnimtoolError:
         return None
     return IgnoreEntries.from_document(document) if document else None

@@ -32,8 +32,8 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
 
     def checked_mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         values = dict(pairs)
-        longest = max(map(len, values), default=0)
-        if len(values) != len(pairs) or longest > max_key_length:
+        max_length = max(map(len, values), default=0)
+        if len(values) != len(pairs) or max_length > max_key_length:
             raise ValueError
         return values
 
@@ -53,7 +53,7 @@ def _refuse_constant(name: str) -> NoReturn:
 
 
 def _nesting_depth(value: Any) -> int:
-    """Return the nesting depth of lists and mappings."""
+    """Return how deep lists and mappings are nested; 1 for a flat mapping."""
     depth, nodes = 0, [value]
     while nodes:
         depth += 1

@@ -23,8 +23,8 @@ from animtool.core.files.output import atomic_outputs, check_outputs, write_part
 from animtool.core.record import dataclass
 from animtool.documents.document import (
     Document,
-    document_of,
     location_text,
+    parse_document,
     read_document,
     read_text,
 )
@@ -32,9 +32,9 @@ from animtool.documents.edit import EditError, Rename, apply_edits
 from animtool.documents.versions import (
     MIGRATION_STEPS,
     MigrationSteps,
+    kind_and_version,
     newest_version_of,
     renamed_keys,
-    version_of,
 )
 from animtool.documents.yaml_text import comments_in, json_text, yaml_text
 
@@ -47,8 +47,8 @@ class Migration:
     kind: str  # ``rig``, ``clip`` or ``scene``
     version: int  # current version of the file
     newest: int  # version after the migration
-    before: str  # current text
-    after: str  # text in the newest version
+    old_text: str  # current text
+    new_text: str  # text in the newest version
     notices: tuple[Fault, ...] = ()  # comments that the migration removes
     written: bool = False  # whether the file was replaced
     json_keys: ClassVar[str] = (
@@ -63,14 +63,14 @@ class Migration:
     @property
     def needed(self) -> bool:
         """Whether the file has an older version or outdated names of keys."""
-        return self.before != self.after
+        return self.old_text != self.new_text
 
     @property
     def difference(self) -> list[str]:
-        """Return the changes as a unified diff."""
+        """Lines of a unified diff from the current text to the new text."""
         lines = difflib.unified_diff(
-            self.before.splitlines(),
-            self.after.splitlines(),
+            self.old_text.splitlines(),
+            self.new_text.splitlines(),
             f"{self.path} (animtool/{self.version})",
             f"{self.path} (animtool/{self.newest})",
             lineterm="",
@@ -80,7 +80,7 @@ class Migration:
 
 @dataclass(frozen=True, slots=True)
 class Migrations:
-    """Result or plan of the migration of several files."""
+    """Migrations of several files, written or only planned."""
 
     files: Sequence[Migration]
     json_keys: ClassVar[str] = "'migrate' files"
@@ -96,43 +96,47 @@ def plan_migration(
     """
     path = Path(path)
     document, old_text = read_document(path), read_text(path)
-    kind, version = version_of(document, table)
+    kind, version = kind_and_version(document, table)
     newest_version = newest_version_of(table[kind])
     plan = Migration(path, kind, version, newest_version, old_text, old_text)
     if version == newest_version:
         return _rename_keys(plan)
     old_value = document.value
     new_value = copy.deepcopy(old_value)
-    for step in range(version, newest_version):
-        new_value = table[kind][step](new_value)
+    for step_version in range(version, newest_version):
+        new_value = table[kind][step_version](new_value)
     new_value[kind] = f"animtool/{newest_version}"
     if {**new_value, kind: old_value[kind]} == old_value:
         new_version = f"animtool/{newest_version}"
         new_text = _replace_version(document, old_text, kind, new_version)
-        return replace(plan, after=new_text)
+        return replace(plan, new_text=new_text)
     # The kind comes first in a file, in whatever order the steps left the keys.
     kind_first = {kind: new_value.pop(kind), **new_value}
     if path.suffix == ".json":
-        return replace(plan, after=json_text(kind_first))
-    plan = replace(plan, after=yaml_text(kind_first))
-    lines = tuple(comments_in(old_text))
-    if not lines:
+        return replace(plan, new_text=json_text(kind_first))
+    plan = replace(plan, new_text=yaml_text(kind_first))
+    comment_lines = tuple(comments_in(old_text))
+    if not comment_lines:
         return plan
-    count = "a comment is" if len(lines) == 1 else f"{len(lines)} comments are"
-    message = f"{count} lost: the file is rewritten"
+    count_text = (
+        "a comment is"
+        if len(comment_lines) == 1
+        else f"{len(comment_lines)} comments are"
+    )
+    message = f"{count_text} lost: the file is rewritten"
     hint = "copy important ones from the old file"
-    notice = Fault("DOC101", message, str(path), lines, hint, Severity.WARNING)
+    notice = Fault("DOC101", message, str(path), comment_lines, hint, Severity.WARNING)
     return replace(plan, notices=(notice,))
 
 
 def _rename_keys(plan: Migration) -> Migration:
     """Return a migration that renames keys and changes nothing else."""
-    value = document_of(plan.before, plan.path).value
+    value = parse_document(plan.old_text, plan.path).value
     edits = [Rename(location, n) for location, n in renamed_keys(plan.kind, value)]
     if not edits:
         return plan
     try:
-        return replace(plan, after=apply_edits(plan.before, plan.path, edits))
+        return replace(plan, new_text=apply_edits(plan.old_text, plan.path, edits))
     except EditError as error:
         message = f"its keys cannot be renamed: {error}"
         hint = f"rename {listed([location_text(edit.location) for edit in edits])} by "
@@ -159,7 +163,7 @@ def migrate(
         strict: Treat warnings as errors, and write nothing.
         table: Migration steps between versions, by kind.
     """
-    plans = _plan_all(paths, table)
+    plans = _plan_migrations(paths, table)
     refuse_warnings([note for plan_ in plans for note in plan_.notices], strict=strict)
     # A file and links to it are migrated once.
     plan_by_path = {p.path.resolve(): p for p in reversed(plans) if p.needed}
@@ -170,16 +174,18 @@ def migrate(
         hint = f"{argument('overwrite', True)} replaces it, {argument('check')} shows "
         hint += "what would change"
         message = "would be replaced"
-        names = [str(plan.path) for plan in outdated_documents]
-        raise OptionError([Fault("OUT001", message, name, (), hint) for name in names])
+        paths_to_replace = [str(plan.path) for plan in outdated_documents]
+        raise OptionError(
+            [Fault("OUT001", message, name, (), hint) for name in paths_to_replace]
+        )
     check_outputs([plan.path for plan in outdated_documents], [], overwrite=True)
     with atomic_outputs():
         for plan in outdated_documents:
-            write_parts(plan.path, [plan.after.encode()])
+            write_parts(plan.path, [plan.new_text.encode()])
     return [replace(plan, written=plan.needed) for plan in plans]
 
 
-def _plan_all(
+def _plan_migrations(
     paths: Sequence[Path | str], table: Mapping[str, MigrationSteps]
 ) -> list[Migration]:
     plans: list[Migration] = []

@@ -12,17 +12,6 @@ from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.names import FILE_KINDS, most_similar, name_hint, sort_by_similarity
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location, location_text
-from animtool.documents.forms import (
-    MAX_EXAMPLE,
-    entry_names,
-    example_hint,
-    key_named_by,
-    missing_key_hint,
-    named_options_hint,
-    paired_entries,
-    syntax_hint,
-    vector_components,
-)
 from animtool.documents.other_words import AXES, OTHER_KEYS, intended_options
 from animtool.documents.placeholders import (
     annotation_at,
@@ -41,26 +30,37 @@ from animtool.documents.value_faults import (
     value_hint,
     values_message,
 )
+from animtool.documents.value_hints import (
+    MAX_EXAMPLE_LENGTH,
+    entry_names,
+    example_hint,
+    key_named_by,
+    missing_key_hint,
+    named_options_hint,
+    paired_entries,
+    syntax_hint,
+    vector_components,
+)
 from animtool.documents.versions import renamed_key
 from animtool.documents.yaml_text import flow_text
 from animtool.documents.yaml_values import flow_value
 
 # Maximum number of faulty values that are replaced by placeholders.
-MAX_REPLACED = 200
+MAX_REPLACED_VALUES = 200
 # Number of unknown keys from which an entry gets a single fault.
-MIN_UNKNOWN = 2
+MIN_UNKNOWN_KEYS = 2
 
 LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a value
 
 
-def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
-    """Return the faults of a value that is checked without a document."""
+def faults_of_value(value: Any, error: ValidationError) -> LocatedFaults:
+    """Return the located faults (SCN002) of a value that belongs to no document."""
     faults_by_location = _group_by_location(value, error)
-    ancestors = _ancestors(faults_by_location)
+    ancestor_locations = _ancestor_locations(faults_by_location)
     located_faults: LocatedFaults = []
     lists_of_pairs: set[Location] = set()  # lists of numbers where pairs are needed
     for (location, _), faults in faults_by_location.items():
-        if location in ancestors or location[:-1] in lists_of_pairs:
+        if location in ancestor_locations or location[:-1] in lists_of_pairs:
             continue
         hint = value_hint(location[-1], faults) if location else None
         is_entry = len(location) > 1 and isinstance(location[-1], int)
@@ -73,7 +73,7 @@ def wrong_values(value: Any, error: ValidationError) -> LocatedFaults:
 
 
 def intended_choices(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
-    """Return the values that are allowed apart from their case, with their location."""
+    """Return the corrected form of each value that is wrong only in its case."""
     groups = _group_by_location(value, error)
     choices = [(key[0], intended_choice(faults)) for key, faults in groups.items()]
     return [(location, choice) for location, choice in choices if choice is not None]
@@ -81,17 +81,17 @@ def intended_choices(value: Any, error: ValidationError) -> list[tuple[Location,
 
 def intended_key_hint(key: str, names: Collection[str]) -> tuple[str, str | None]:
     """Return a hint for an unknown key, and the key that was likely meant."""
-    normalized = key.replace("_", "").lower()
-    for equivalent_key in OTHER_KEYS.get(normalized, ()):
+    normalized_key = key.replace("_", "").lower()
+    for equivalent_key in OTHER_KEYS.get(normalized_key, ()):
         if equivalent_key in names:
             return f"the key is {equivalent_key!r}", equivalent_key
-    if normalized in OTHER_KEYS:  # a word of its own, not a misspelling
+    if normalized_key in OTHER_KEYS:  # a word of its own, not a misspelling
         return f"allowed: {', '.join(sort_by_similarity(key, names))}", None
     return name_hint(key, names), most_similar(key, names)
 
 
 def warn_renamed_key(document: Document, location: Location, name: str) -> None:
-    """Warn about a renamed key (DOC102)."""
+    """Warn about a key under its old name (DOC102), and record that name."""
     *parent, key = location
     document.old_keys[*parent, name] = str(key)
     message = f"the key {key!r} is now called {name!r}"
@@ -116,20 +116,22 @@ class ModelFaults:
                 for key, faults in faults_by_location.items()
                 if key[0][: len(location)] != location
             }
-        ancestors = _ancestors(faults_by_location)
+        ancestor_locations = _ancestor_locations(faults_by_location)
         faults_by_type: dict[str, list[tuple[Location, str]]] = {}
         for key, faults in faults_by_location.items():
             faults_by_type.setdefault(faults[0]["type"], []).append(key)
         known_placeholders = frozenset(self.document.placeholders)
         # In this order: a misspelt key is not missing too.
-        unknown = [key[0] for key in faults_by_type.pop("extra_forbidden", ())]
-        entries = {path[:-1] for path in unknown if _is_list_entry(path[:-1])}
+        unknown_keys = [key[0] for key in faults_by_type.pop("extra_forbidden", ())]
+        entry_locations = {
+            location[:-1] for location in unknown_keys if _is_list_entry(location[:-1])
+        }
         unrecognised_entries = {
             location
-            for location in sorted(entries, key=str)
+            for location in sorted(entry_locations, key=str)
             if self._record_unrecognised_entry(location)
         }
-        for location in unknown:
+        for location in unknown_keys:
             if location[:-1] not in unrecognised_entries:
                 self._record_unknown_key(location)
         for location, missing_key in faults_by_type.pop("missing", ()):
@@ -139,93 +141,95 @@ class ModelFaults:
             # faults.
             new_placeholders = self.document.placeholders - known_placeholders
             is_replaced = not new_placeholders.isdisjoint((key[0], key[0][:-1]))
-            if key[0] not in ancestors and not is_replaced:
+            if key[0] not in ancestor_locations and not is_replaced:
                 self._record_wrong_value(key[0], faults_by_location[key])
-        if error.error_count() > MAX_REPLACED:
+        if error.error_count() > MAX_REPLACED_VALUES:
             self.document.check()
 
     def _record_unknown_key(self, location: Location) -> None:
         *steps, key = location
-        mapping = tuple(steps)
-        names = fields_at(self.model, self.value, mapping)
-        node = value_at(self.value, mapping)
-        if self._record_vector_mapping(mapping):
+        parent = tuple(steps)
+        names = fields_at(self.model, self.value, parent)
+        mapping = value_at(self.value, parent)
+        if self._record_vector_mapping(parent):
             return
-        if key not in node or self._correct_name_pair(mapping, node):
+        if key not in mapping or self._correct_name_pair(parent, mapping):
             return
-        value = node.pop(key)
+        value = mapping.pop(key)
         kind = next((name for name in FILE_KINDS if name in self.value), "")
         new_name = renamed_key(kind, location, value)
-        if new_name in names and new_name not in node:
-            node[new_name] = value
+        if new_name in names and new_name not in mapping:
+            mapping[new_name] = value
             warn_renamed_key(self.document, location, new_name)
             return
-        if self._depends_on_kind(location):
+        if self._depends_on_unknown_kind(location):
             return
         if str(key).startswith("-"):
-            self._record_bad_dash(location, node)
+            self._record_bad_dash(location, mapping)
             return
         message = f"unknown key {excerpt(str(key))}"
         hint, meant_key = intended_key_hint(str(key), names)
-        owner = key_named_by(self.model, self.value, mapping, str(key))
-        if owner is not None and owner not in node:
-            meant_key, value = owner, {key: value}
-            hint = f"write {flow_text(owner, value)}"
+        owning_key = key_named_by(self.model, self.value, parent, str(key))
+        if owning_key is not None and owning_key not in mapping:
+            meant_key, value = owning_key, {key: value}
+            hint = f"write {flow_text(owning_key, value)}"
         if hint.startswith("allowed"):
-            hint = self._key_elsewhere(mapping, node, str(key)) or hint
-        self.document.add("DOC020", location, message, hint, at_key=True)
-        if meant_key and meant_key not in node:
+            hint = self._key_elsewhere(parent, mapping, str(key)) or hint
+        self.document.add("DOC020", location, message, hint, is_at_key=True)
+        if meant_key and meant_key not in mapping:
             # Its names may be referenced, but whether it was meant is unknown.
-            node[meant_key] = value
-            self.document.old_keys[*mapping, meant_key] = str(key)
-            self.document.guessed_keys.add((*mapping, meant_key))
+            mapping[meant_key] = value
+            self.document.old_keys[*parent, meant_key] = str(key)
+            self.document.guessed_keys.add((*parent, meant_key))
 
     def _key_elsewhere(
-        self, mapping: Location, node: dict[str, Any], key: str
+        self, parent: Location, mapping: dict[str, Any], key: str
     ) -> str | None:
         """Return a hint that names a related mapping that accepts an unknown key."""
-        for sibling, value in node.items():
+        for sibling, value in mapping.items():
             first_element = value[0] if isinstance(value, list) and value else value
             index_step = (0,) if first_element is not value else ()
             if isinstance(first_element, dict):
-                location = (*mapping, sibling, *index_step)
+                location = (*parent, sibling, *index_step)
                 if key in fields_at(self.model, self.value, location):
                     return f"it is a key of {sibling!r}: write it there"
                 # An entry that is named by its only key, such as a system.
                 if len(first_element) == 1:
                     location = (*location, next(iter(first_element)))
                     if key in fields_at(self.model, self.value, location):
-                        where = location_text(location)
-                        return f"it is a key of {where}: write it there"
-        for absent_key in fields_at(self.model, self.value, mapping):
-            if absent_key in node:
+                        label = location_text(location)
+                        return f"it is a key of {label}: write it there"
+        for absent_key in fields_at(self.model, self.value, parent):
+            if absent_key in mapping:
                 continue
             for steps in ((absent_key,), (absent_key, 0)):
-                annotation = annotation_at(self.model, self.value, (*mapping, *steps))
+                annotation = annotation_at(self.model, self.value, (*parent, *steps))
                 if any(key in fields_of(kind) for kind in models_of(annotation)):
                     return f"it is a key of {absent_key!r}: write it there"
-        for depth in reversed(range(len(mapping))):
-            if key in fields_at(self.model, self.value, mapping[:depth]):
-                where = location_text(mapping[:depth])
-                owner = f"of {where}" if where else "at the top level of the file"
-                return f"it is a key {owner}: write it there"
+        for depth in reversed(range(len(parent))):
+            if key in fields_at(self.model, self.value, parent[:depth]):
+                label = location_text(parent[:depth])
+                owner_text = f"of {label}" if label else "at the top level of the file"
+                return f"it is a key {owner_text}: write it there"
         return None
 
-    def _record_unrecognised_entry(self, mapping: Location) -> bool:
+    def _record_unrecognised_entry(self, parent: Location) -> bool:
         """Record a single fault if a list entry has no known key."""
-        node = value_at(self.value, mapping)
-        names = fields_at(self.model, self.value, mapping)
-        unknown = [key for key in node if key not in names]
-        if len(unknown) < len(node) or len(unknown) < MIN_UNKNOWN:
+        mapping = value_at(self.value, parent)
+        names = fields_at(self.model, self.value, parent)
+        unknown_keys = [key for key in mapping if key not in names]
+        if len(unknown_keys) < len(mapping) or len(unknown_keys) < MIN_UNKNOWN_KEYS:
             return False
-        models = models_of(annotation_at(self.model, self.value, mapping), node)
-        is_pair = bool(paired_entries(models, node))
-        if is_pair or any(intended_key_hint(str(key), names)[1] for key in unknown):
+        models = models_of(annotation_at(self.model, self.value, parent), mapping)
+        is_pair = bool(paired_entries(models, mapping))
+        if is_pair or any(
+            intended_key_hint(str(key), names)[1] for key in unknown_keys
+        ):
             return False
-        names_text = listed([excerpt(str(key)) for key in unknown])
+        names_text = listed([excerpt(str(key)) for key in unknown_keys])
         message = f"no known key in {names_text}"
-        self.document.add("DOC020", mapping, message, f"allowed: {', '.join(names)}")
-        self._insert_placeholder(mapping)
+        self.document.add("DOC020", parent, message, f"allowed: {', '.join(names)}")
+        self._insert_placeholder(parent)
         return True
 
     def _record_misplaced_options(self, groups: Iterable[list[Any]]) -> list[Location]:
@@ -264,7 +268,7 @@ class ModelFaults:
         message = f"options of {name!r} are not below it: {names}"
         hint = f"indent them further, or write {text}"
         key_location = (*location, options[0])
-        self.document.add("DOC022", key_location, message, hint, at_key=True)
+        self.document.add("DOC022", key_location, message, hint, is_at_key=True)
         return True
 
     def _record_missing_dash(self, location: Location) -> bool:
@@ -273,7 +277,7 @@ class ModelFaults:
         entry = value_at(self.value, location)
         if names is None or not _is_list_entry(location) or len(entry) < 2:
             return False
-        known_names = names.find()
+        known_names = names.find_names()
         if not all(
             name in known_names and (options is None or isinstance(options, dict))
             for name, options in entry.items()
@@ -284,9 +288,13 @@ class ModelFaults:
         hint = f"each {names.noun} needs its own dash: "
         items = [{name: options or {}} for name, options in entry.items()]
         text = flow_text(str(location[-2]), items)
-        hint += f"write {text}" if len(text) <= MAX_EXAMPLE else f"write '- {second}:'"
+        hint += (
+            f"write {text}"
+            if len(text) <= MAX_EXAMPLE_LENGTH
+            else f"write '- {second}:'"
+        )
         key_location = (*location, second)
-        self.document.add("DOC022", key_location, message, hint, at_key=True)
+        self.document.add("DOC022", key_location, message, hint, is_at_key=True)
         return True
 
     def _record_options_without_name(self, location: Location) -> bool:
@@ -303,34 +311,36 @@ class ModelFaults:
         """Record a list entry that was read as a key, for lack of a space after "-"."""
         *parent_path, key = location
         hint = f"write '- {str(key)[1:].strip()}: …'"
-        self.document.add("DOC001", location, "no space after '-'", hint, at_key=True)
+        self.document.add(
+            "DOC001", location, "no space after '-'", hint, is_at_key=True
+        )
         for other_key, value in list(mapping.items()):
             if value is None:  # the list's key
                 self._insert_placeholder((*parent_path, other_key))
 
-    def _correct_name_pair(self, mapping: Location, node: dict[str, Any]) -> bool:
+    def _correct_name_pair(self, parent: Location, mapping: dict[str, Any]) -> bool:
         """Record and correct an entry that pairs two names, such as {Hips: hips}."""
-        models = models_of(annotation_at(self.model, self.value, mapping), node)
-        entries = paired_entries(models, node) if len(mapping) > 1 else []
+        models = models_of(annotation_at(self.model, self.value, parent), mapping)
+        entries = paired_entries(models, mapping) if len(parent) > 1 else []
         if not entries:
             return False
-        key = next(iter(node))
+        key = next(iter(mapping))
         message = f"unknown key {excerpt(str(key))}"
         hint = f"write {', '.join(map(flow_value, entries))}"
-        self.document.add("DOC020", (*mapping, key), message, hint, at_key=True)
-        node.clear()
-        node.update(entries[0])
+        self.document.add("DOC020", (*parent, key), message, hint, is_at_key=True)
+        mapping.clear()
+        mapping.update(entries[0])
         for name in entries[0]:
-            self.document.old_keys[*mapping, name] = str(key)
+            self.document.old_keys[*parent, name] = str(key)
         return True
 
-    def _record_missing_key(self, mapping: Location, key: str) -> None:
-        location = (*mapping, key)
+    def _record_missing_key(self, parent: Location, key: str) -> None:
+        location = (*parent, key)
         if location in self.document.old_keys:
             return
-        if not self._depends_on_kind(location):
+        if not self._depends_on_unknown_kind(location):
             hint = missing_key_hint(self.model, self.value, location)
-            self.document.add("DOC021", mapping, f"key {key!r} is missing", hint)
+            self.document.add("DOC021", parent, f"key {key!r} is missing", hint)
         self._insert_placeholder(location)
 
     def _record_wrong_entry(self, location: Location, faults: list[Any]) -> bool:
@@ -352,27 +362,27 @@ class ModelFaults:
         self._insert_placeholder(parent)
         return True
 
-    def _record_vector_mapping(self, mapping: Location) -> bool:
+    def _record_vector_mapping(self, parent: Location) -> bool:
         """Record a single fault if a vector is written as {x: …, y: …, z: …}."""
-        if mapping in self.document.placeholders:
+        if parent in self.document.placeholders:
             return True
-        value = value_at(self.value, mapping)
+        value = value_at(self.value, parent)
         numbers = vector_components(value)
-        if numbers is None or not mapping:
+        if numbers is None or not parent:
             return False
-        hint = f"write {flow_text(str(mapping[-1]), numbers)}"
+        hint = f"write {flow_text(str(parent[-1]), numbers)}"
         message = f"{excerpt(flow_value(value))[1:-1]} is not a list"
-        self.document.add("DOC022", mapping, message, hint)
-        self._insert_placeholder(mapping)
+        self.document.add("DOC022", parent, message, hint)
+        self._insert_placeholder(parent)
         return True
 
     def _record_wrong_value(self, location: Location, faults: list[Any]) -> None:
         if faults[0]["type"] == "union_tag_not_found":
             tag = faults[0]["ctx"]["discriminator"].strip("'")
-            misspelt = most_similar(tag, map(str, faults[0]["input"]))
-            if misspelt is not None:
+            misspelt_key = most_similar(tag, map(str, faults[0]["input"]))
+            if misspelt_key is not None:
                 # A misspelt key is not missing too.
-                self._record_unknown_key((*location, misspelt))
+                self._record_unknown_key((*location, misspelt_key))
                 return
         if faults[0]["type"].startswith("union_tag"):
             location = (*location, faults[0]["ctx"]["discriminator"].strip("'"))
@@ -385,16 +395,16 @@ class ModelFaults:
             return
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
             self._record_bad_dash((*location, next(iter(value))), {})
-        elif not self._depends_on_kind(location):
+        elif not self._depends_on_unknown_kind(location):
             hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
             hint = hint or self._syntax_hint(location, faults)
             self.document.add("DOC022", location, values_message(faults), hint)
         self._insert_placeholder(location)
 
     def _syntax_hint(self, location: Location, faults: list[Any]) -> str | None:
-        """Return a hint with the correct form of a key's value."""
+        """Return a hint that shows the correct form of a value; None if unknown."""
         value, structures = faults[0]["input"], expected_structures(faults)
-        comma_hint = self.document.decimal_commas(location)
+        comma_hint = self.document.decimal_comma_hint(location)
         if structures and comma_hint is not None:
             return comma_hint
         if is_euler_angles(faults):
@@ -408,21 +418,21 @@ class ModelFaults:
             numbers = flow_value([round(number) for number in axis])
             return f"write three numbers: {value} is {numbers}"
         if structures:
-            where = self.model, self.value, location
-            return syntax_hint(*where, expects_list=needs_list)
+            model_location = self.model, self.value, location
+            return syntax_hint(*model_location, expects_list=needs_list)
         if is_type_fault(faults):
             return example_hint(self.model, self.value, location)
         return None
 
-    def _depends_on_kind(self, location: Location) -> bool:
+    def _depends_on_unknown_kind(self, location: Location) -> bool:
         """Return whether a key exists only in some kinds and the kind is unknown."""
         for depth, key in enumerate(location):
-            mapping = location[:depth]
-            unknown = self.document.placeholders | self.document.guessed_keys
-            if (*mapping, "type") in unknown and key != "type":
-                kinds = models_of(annotation_at(self.model, self.value, mapping))
-                kinds_with_key = [kind for kind in kinds if key in fields_of(kind)]
-                if kinds_with_key and len(kinds_with_key) < len(kinds):
+            parent = location[:depth]
+            unknown_locations = self.document.placeholders | self.document.guessed_keys
+            if (*parent, "type") in unknown_locations and key != "type":
+                models = models_of(annotation_at(self.model, self.value, parent))
+                models_with_key = [kind for kind in models if key in fields_of(kind)]
+                if models_with_key and len(models_with_key) < len(models):
                     return True
         return False
 
@@ -442,7 +452,7 @@ def _group_by_location(
 ) -> dict[tuple[Location, str], list[Any]]:
     """Group the first faults of a failed validation by location and missing key."""
     groups: dict[tuple[Location, str], list[Any]] = {}
-    for fault in error.errors(include_url=False)[:MAX_REPLACED]:
+    for fault in error.errors(include_url=False)[:MAX_REPLACED_VALUES]:
         missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
         key = _fault_location(value, fault), missing_key
         groups.setdefault(key, []).append(fault)
@@ -453,27 +463,29 @@ def _is_list_entry(location: Location) -> bool:
     return bool(location) and isinstance(location[-1], int)
 
 
-def _ancestors(faults_by_location: Iterable[tuple[Location, str]]) -> set[Location]:
-    """Return the locations that contain a faulty one."""
+def _ancestor_locations(located_keys: Iterable[tuple[Location, str]]) -> set[Location]:
+    """Return the locations of the mappings and lists around each faulty value."""
     return {
-        location[:d] for location, _ in faults_by_location for d in range(len(location))
+        location[:depth]
+        for location, _ in located_keys
+        for depth in range(len(location))
     }
 
 
 def _fault_location(value: Any, fault: Any) -> Location:
     """Return the location of a validation error, without names of union members."""
-    node, steps = value, []
+    node, existing_steps = value, []
     for step in fault["loc"]:
         try:
             node = node[step]
         except (KeyError, IndexError, TypeError):
             continue
-        steps.append(step)
-    return tuple(steps)
+        existing_steps.append(step)
+    return tuple(existing_steps)
 
 
 def _entry_hint(location: Location, fault: Any) -> str | None:
-    """Return a hint that shows the form of an entry that is only a name."""
+    """Return a hint for options that were not written as a mapping; else None."""
     value = fault["input"]
     if fault["type"] != "dict_type":
         return None

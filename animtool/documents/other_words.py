@@ -54,7 +54,7 @@ OTHER_VALUES = {
     "z-up": "Z",
 }
 # More values by other names, for keys that do not have the value in `OTHER_VALUES`.
-MORE_VALUES = {
+FALLBACK_VALUES = {
     "smooth": "bezier",
     "auto": "auto_clamped",
     "euler": "symplectic_euler",

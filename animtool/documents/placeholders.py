@@ -14,7 +14,7 @@ from animtool.documents.document import Location
 
 
 def annotation_of(field: FieldInfo) -> Any:
-    """Return the type annotation of a field with its constraints."""
+    """Return the annotation of a field, as `Annotated` if it has constraints."""
     if not field.metadata:
         return field.annotation
     return Annotated[(field.annotation, *field.metadata)]
@@ -59,9 +59,9 @@ def field_at(
     types = _types_along(model, value, location)
     steps = zip(location, types, strict=False)
     for depth, (step, (annotation, node)) in enumerate(steps, 1):
-        for kind in models_of(annotation, node):
-            if str(step) in fields_of(kind):
-                innermost = depth, fields_of(kind)[str(step)]
+        for member in models_of(annotation, node):
+            if str(step) in fields_of(member):
+                innermost = depth, fields_of(member)[str(step)]
                 break
     return innermost
 
@@ -69,14 +69,14 @@ def field_at(
 def fields_at(model: type[BaseModel], value: Any, location: Location) -> list[str]:
     """Return the allowed keys of a mapping at a location."""
     node = value_at(value, location)
-    kinds = models_of(annotation_at(model, value, location), node)
-    return sorted({key for kind in kinds for key in fields_of(kind)})
+    models = models_of(annotation_at(model, value, location), node)
+    return sorted({key for kind in models for key in fields_of(kind)})
 
 
 def models_of(annotation: Any, node: Any = None) -> list[type[BaseModel]]:
     """Return the models of a type; of a tagged union, only the one a value names."""
-    kinds = map(_without_constraints, _union_members(annotation))
-    models = [k for k in kinds if isinstance(k, type) and issubclass(k, BaseModel)]
+    members = map(_without_constraints, _union_members(annotation))
+    models = [k for k in members if isinstance(k, type) and issubclass(k, BaseModel)]
     return [member for member in models if _selects_model(member, node)] or models
 
 
@@ -107,20 +107,20 @@ def placeholder_of(annotation: Any) -> Any:
     return {str: UNKNOWN, float: number_value, int: 1, bool: False}.get(first_type)
 
 
-def takes_no_text(annotation: Any) -> bool:
+def excludes_text(annotation: Any) -> bool:
     """Return whether a type allows only numbers and booleans.
 
-    >>> takes_no_text(float | None), takes_no_text(float | str)
+    >>> excludes_text(float | None), excludes_text(float | str)
     (True, False)
     """
-    kinds = map(_without_constraints, _union_members(annotation))
-    return all(kind in {float, int, bool} for kind in kinds)
+    members = map(_without_constraints, _union_members(annotation))
+    return all(member in {float, int, bool} for member in members)
 
 
 def set_value_at(value: Any, location: Location, new_value: Any) -> None:
-    """Replace the value at a location, in place."""
-    *parents, last_step = location
-    value_at(value, parents)[last_step] = new_value
+    """Replace the value at a location, in the mapping or list that holds it."""
+    *parent_location, last_step = location
+    value_at(value, parent_location)[last_step] = new_value
 
 
 def _empty_values(model: type[BaseModel]) -> dict[str, Any]:
@@ -138,14 +138,14 @@ def fields_of(model: type[BaseModel]) -> dict[str, FieldInfo]:
 
 def _selects_model(model: type[BaseModel], node: Any) -> bool:
     """Return whether the discriminator of a mapping names a model."""
-    kinds = model.model_fields.get("type")
-    if kinds is None or not isinstance(node, dict):
+    type_field = model.model_fields.get("type")
+    if type_field is None or not isinstance(node, dict):
         return False
-    return node.get("type") in get_args(kinds.annotation)
+    return node.get("type") in get_args(type_field.annotation)
 
 
 def inner_annotation(annotation: Any, node: Any, step: str | int) -> Any:
-    """Return the type of a field or of an element of a type."""
+    """Return the type one step further inside: of a field, or of an element."""
     for model in models_of(annotation, node):
         field = fields_of(model).get(str(step))
         if field is not None:
@@ -164,9 +164,9 @@ def _without_constraints(annotation: Any) -> Any:
 
 
 def _union_members(annotation: Any) -> list[Any]:
-    """Return the members of a union, or the type itself."""
+    """Return the members of a union without None, or the type itself."""
     inner_type = _without_constraints(annotation)
     if get_origin(inner_type) in {Union, UnionType}:
-        alternatives = [m for a in get_args(inner_type) for m in _union_members(a)]
-        return [member for member in alternatives if member is not NoneType]
+        members = [m for a in get_args(inner_type) for m in _union_members(a)]
+        return [member for member in members if member is not NoneType]
     return [annotation]

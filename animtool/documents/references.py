@@ -15,18 +15,18 @@ from animtool.core.files.reading import (
 from animtool.documents.document import Document, Location
 
 
-def split_reference(text: str, default: str) -> tuple[str, str]:
-    """Split a reference into file and array name.
+def split_reference(text: str, default_key: str) -> tuple[str, str]:
+    """Split a reference ``file#array`` into the file and the name of the array.
 
     >>> split_reference("face.npz#smile", "deltas"), split_reference("a.npz", "points")
     (('face.npz', 'smile'), ('a.npz', 'points'))
     """
     name, _, key = text.partition("#")
-    return name, key or default
+    return name, key or default_key
 
 
 def resolve_path(folder: Path, roots: Sequence[Path], name: str) -> Path:
-    """Resolve a file name relative to a folder."""
+    """Return the path of a file name in a folder; refuse paths outside the roots."""
     try:
         path = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError) as error:
@@ -67,29 +67,31 @@ def _outside_hint(path: Path, name: str, is_output: bool) -> str:
     """Return a hint for a reference to a file outside the project."""
     folder = path.resolve().parent
     try:
-        target = (folder / name).resolve()
+        target_path = (folder / name).resolve()
     except (OSError, RuntimeError, ValueError):
         return "use a file inside the project"
-    if not (is_output or exists(target)):
+    if not (is_output or exists(target_path)):
         return (
-            f"nor does it exist: copy {target.name}, and the files it refers to, "
+            f"nor does it exist: copy {target_path.name}, and the files it refers to, "
             f"into {folder}, and write its name here"
         )
-    settings = find_config(path).path
-    if settings is None:
-        project_folder = innermost_project(folder, target)
+    settings_path = find_config(path).path
+    if settings_path is None:
+        project_folder = innermost_project(folder, target_path)
         if project_folder is not None:
             hint = f"to use files of all {project_folder}, create an empty file "
             return f"{hint}animtool.toml in it"
-        settings = folder / "animtool.toml"
-    root = path_from_folder(target.parent, settings.parent)
-    is_pyproject = settings.name == "pyproject.toml"
-    table = " under [tool.animtool]" if is_pyproject else ""
-    return f'to allow that folder, add roots = ["{root}"] to {settings}{table}'
+        settings_path = folder / "animtool.toml"
+    root = path_from_folder(target_path.parent, settings_path.parent)
+    is_pyproject = settings_path.name == "pyproject.toml"
+    table_text = " under [tool.animtool]" if is_pyproject else ""
+    return (
+        f'to allow that folder, add roots = ["{root}"] to {settings_path}{table_text}'
+    )
 
 
-def missing_hint(document: Document, name: str) -> str | None:
-    """Return a hint with the name of a similar file; None if there is none."""
+def similar_file_hint(document: Document, name: str) -> str | None:
+    """Return a hint for a missing file: a similar name, or how to spell its path."""
     if "\\" in name:
         return f"write / in paths: {name.replace(chr(92), '/')}"
     return unexpanded_hint(name) or nearest_file(Path(name), document.path.parent)
@@ -105,6 +107,6 @@ def resolve_input(
     path = resolve_reference(document, location, name, roots)
     if path is not None and not exists(path):
         message = f"{name!r} does not exist"
-        document.add("DOC015", location, message, missing_hint(document, name))
+        document.add("DOC015", location, message, similar_file_hint(document, name))
         return None
     return path

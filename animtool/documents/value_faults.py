@@ -8,18 +8,18 @@ from typing import Any
 
 from animtool.core.errors import counted, excerpt
 from animtool.core.names import most_similar
-from animtool.documents.other_words import MORE_VALUES, OTHER_VALUES
+from animtool.documents.other_words import FALLBACK_VALUES, OTHER_VALUES
 from animtool.documents.yaml_values import (
-    MAX_HINT_LENGTH,
     flow_value,
     plain_scalar,
+    timed_list_hint,
     timed_rows,
 )
 
 # Larger bounds are general limits, not the key's.
-LARGE_NUMBER = 1e9
+MIN_GENERAL_LIMIT = 1e9
 # Bounds up to this size mean "above 0".
-SMALL_NUMBER = 1e-30
+MAX_ZERO_BOUND = 1e-30
 # Faults of numbers out of range: the key of the bound, and the comparison as text.
 _BOUND_FAULTS = {
     "less_than_equal": ("le", "above the maximum of {}"),
@@ -49,10 +49,10 @@ _EXPECTED_NOUNS = {
 
 # Faults of values of the right type: other members of a union were not intended.
 _LENGTH_FAULTS = {"too_short", "too_long"}
-_FIT_PRIORITY = (_LENGTH_FAULTS, _BOUND_FAULTS.keys())
+_RIGHT_TYPE_FAULTS = (_LENGTH_FAULTS, _BOUND_FAULTS.keys())
 # Types of containers.
 _CONTAINER_NOUNS = {"a list", "a mapping of keys"}
-_LONGEST_NUMBER = 40
+_MAX_NUMBER_LENGTH = 40
 _NUMBER_WITH_UNIT = re.compile(r"([-+]?(?:\d+\.?\d*|\.\d+))\s*([A-Za-z%°]+)")
 _SECONDS_PER_UNIT = {"s": 1, "sec": 1, "m": 60, "min": 60, "h": 3600}
 _BOOLEAN_WORDS = {
@@ -63,8 +63,8 @@ _BOOLEAN_WORDS = {
 
 def likely_faults(faults: Sequence[Any]) -> list[Any]:
     """Return the faults of the union member that was most likely intended."""
-    for kinds in _FIT_PRIORITY:
-        matching_faults = [fault for fault in faults if fault["type"] in kinds]
+    for fault_types in _RIGHT_TYPE_FAULTS:
+        matching_faults = [fault for fault in faults if fault["type"] in fault_types]
         if matching_faults:
             return matching_faults
     return list(faults)
@@ -73,10 +73,10 @@ def likely_faults(faults: Sequence[Any]) -> list[Any]:
 def expected_structures(faults: Sequence[Any]) -> set[str]:
     """Return which containers the faults expect: a list, a mapping, or both."""
     intended_faults = likely_faults(faults)
-    kinds = {_EXPECTED_NOUNS.get(fault["type"], "") for fault in intended_faults}
+    nouns = {_EXPECTED_NOUNS.get(fault["type"], "") for fault in intended_faults}
     if any(fault["type"] in _LENGTH_FAULTS for fault in intended_faults):
-        kinds.add("a list")
-    return kinds & _CONTAINER_NOUNS
+        nouns.add("a list")
+    return nouns & _CONTAINER_NOUNS
 
 
 def is_euler_angles(faults: Sequence[Any]) -> bool:
@@ -92,7 +92,7 @@ def is_type_fault(faults: Iterable[Any]) -> bool:
 
 
 def values_message(faults: Sequence[Any]) -> str:
-    """Return one message for all faults of a value."""
+    """Return one message for all faults of a value, joined by "or"."""
     if faults[0]["input"] is None:
         return "the value is missing"
     return _join_messages(dict.fromkeys(map(_value_message, likely_faults(faults))))
@@ -101,30 +101,30 @@ def values_message(faults: Sequence[Any]) -> str:
 def value_hint(key: str | int, faults: Sequence[Any]) -> str | None:
     """Return a hint that shows the value that was likely meant."""
     value = faults[0]["input"]
-    kinds = {_EXPECTED_NOUNS.get(fault["type"]) for fault in faults}
-    classes = {fault.get("ctx", {}).get("class") for fault in faults}
-    if key == "size" and "Sequence" in classes and isinstance(value, int | float):
+    nouns = {_EXPECTED_NOUNS.get(fault["type"]) for fault in faults}
+    expected_classes = {fault.get("ctx", {}).get("class") for fault in faults}
+    if (
+        key == "size"
+        and "Sequence" in expected_classes
+        and isinstance(value, int | float)
+    ):
         return f"write {flow_value([value] * 3)}"
-    if "a list" in kinds and isinstance(value, dict):
-        return _rows_hint(key, value)
-    if kinds & {"a number", "a whole number"}:
+    if "a list" in nouns and isinstance(value, dict):
+        return _timed_rows_hint(key, value)
+    if nouns & {"a number", "a whole number"}:
         return number_hint(key, value)
-    if "true or false" in kinds:
+    if "true or false" in nouns:
         boolean_text = _BOOLEAN_WORDS.get(str(value).lower())
         return boolean_text and f"write {boolean_text}"
     return _choice_hint(faults)
 
 
-def _rows_hint(key: str | int, value: dict[Any, Any]) -> str | None:
+def _timed_rows_hint(key: str | int, value: dict[Any, Any]) -> str | None:
     """Return a hint that writes a mapping of times to values as a list of rows."""
     times = [plain_scalar(str(time)) for time in value]
     if not times or not all(type(time) in (int, float) for time in times):
         return None
-    rows = timed_rows(zip(times, value.values(), strict=True))
-    hint = f"write {key}: {flow_value(rows)}"
-    if len(hint) > MAX_HINT_LENGTH:
-        hint = f"write {key}: {flow_value(rows[:1])[:-1]}, …]"
-    return hint[:MAX_HINT_LENGTH]
+    return timed_list_hint(key, timed_rows(zip(times, value.values(), strict=True)))
 
 
 def number_hint(key: str | int, value: Any) -> str | None:
@@ -134,24 +134,24 @@ def number_hint(key: str | int, value: Any) -> str | None:
     if isinstance(value, list | tuple) and len(value) == 3 and key == "gravity":
         return _magnitude_hint(value)
     text = value.strip() if isinstance(value, str) else ""
-    if not text or len(text) > _LONGEST_NUMBER:
+    if not text or len(text) > _MAX_NUMBER_LENGTH:
         return None
     if not isinstance(plain_scalar(text), str):
         return f"remove the quotes: {text}"
     if re.fullmatch(r"[-+]?\d*[,-]\d+", text):
-        decimal = f"write {text.replace(',', '.')}, with a decimal point"
-        other = "write one number; variants of a batch are written 1..4"
-        return decimal if "," in text else other
+        decimal_hint = f"write {text.replace(',', '.')}, with a decimal point"
+        range_hint = "write one number; variants of a batch are written 1..4"
+        return decimal_hint if "," in text else range_hint
     match = _NUMBER_WITH_UNIT.fullmatch(text)
     return match and _unit_hint(key, float(match[1]), match[2].lower())
 
 
 def _magnitude_hint(value: Sequence[Any]) -> str | None:
     """Return a hint for a vector where gravity is a downward magnitude."""
-    axes = [number for number in value if number]
-    if len(axes) != 1 or not isinstance(axes[0], int | float):
+    components = [number for number in value if number]
+    if len(components) != 1 or not isinstance(components[0], int | float):
         return "write its size, such as 9.81; it pulls down along the up axis"
-    return f"write gravity: {abs(axes[0]):g}, which pulls down along the up axis"
+    return f"write gravity: {abs(components[0]):g}, which pulls down along the up axis"
 
 
 def _unit_hint(key: str | int, number: float, unit: str) -> str:
@@ -166,7 +166,7 @@ def _unit_hint(key: str | int, number: float, unit: str) -> str:
 
 
 def _missing_message(missing_step: int | str, value: Any) -> str:
-    """Return a message for a missing key or list item."""
+    """Return the message for a missing key, or for a list that is too short."""
     if isinstance(missing_step, str):
         return f"key {missing_step!r} is missing"
     count_text = counted(len(value), "item")
@@ -176,11 +176,11 @@ def _missing_message(missing_step: int | str, value: Any) -> str:
 def _join_messages(texts: Iterable[str]) -> str:
     """Join the messages for the members of a union to one message."""
     first, *other_texts = texts
-    start, negation, kind = first.partition(" is not ")
-    prefix = start + negation
+    subject, negation, kind = first.partition(" is not ")
+    prefix = subject + negation
     if negation and other_texts and all(t.startswith(prefix) for t in other_texts):
         kinds = [kind, *(text.removeprefix(prefix) for text in other_texts)]
-        return f"{start} is neither {' nor '.join(kinds)}"
+        return f"{subject} is neither {' nor '.join(kinds)}"
     return "; or ".join((first, *other_texts))
 
 
@@ -201,13 +201,12 @@ def _value_message(fault: Any) -> str:
     if kind == "union_tag_not_found":
         return f"key {context['discriminator']} is missing"
     if kind in _CHOICE_FAULTS:
-        allowed = context.get("expected", context.get("expected_tags"))
         tag = excerpt(str(context["tag"])) if "tag" in context else value_text
-        return f"{tag} is not one of {allowed}"
-    expected = _expected_noun(fault)
-    if expected is not None:
-        return f"{value_text} is not {expected}"
-    return _value_fault(value_text, fault)
+        return f"{tag} is not one of {_allowed_text(context)}"
+    expected_noun = _expected_noun(fault)
+    if expected_noun is not None:
+        return f"{value_text} is not {expected_noun}"
+    return _range_message(value_text, fault)
 
 
 def _expected_noun(pydantic_error: Any) -> str | None:
@@ -217,16 +216,16 @@ def _expected_noun(pydantic_error: Any) -> str | None:
     return _EXPECTED_NOUNS.get(pydantic_error["type"])
 
 
-def _value_fault(value_text: str, pydantic_error: Any) -> str:
+def _range_message(value_text: str, pydantic_error: Any) -> str:
     """Return the message for a value of the right type but out of range."""
     context, kind = pydantic_error.get("ctx", {}), pydantic_error["type"]
     if kind == "extra_forbidden":
         return f"unknown key {excerpt(str(pydantic_error['loc'][-1]))}"
     key, comparison = _BOUND_FAULTS.get(kind, ("", ""))
     bound = context.get(key)
-    if bound is not None and abs(bound) >= LARGE_NUMBER:
+    if bound is not None and abs(bound) >= MIN_GENERAL_LIMIT:
         return f"{value_text} is beyond {bound:g}"
-    if bound is not None and 0 < bound <= SMALL_NUMBER:
+    if bound is not None and 0 < bound <= MAX_ZERO_BOUND:
         is_positive = pydantic_error["input"] > 0
         return f"{value_text} is {f'below {bound:g}' if is_positive else 'not above 0'}"
     if bound is not None:
@@ -245,11 +244,11 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             names = _allowed_values(pydantic_error)
             if _repeats_axis(value, names):
                 return "name each axis once"
-            ignoring_case = _name_ignoring_case(value, names)
-            if ignoring_case is not None:
-                return f"write {ignoring_case}"
+            matching_name = _name_ignoring_case(value, names)
+            if matching_name is not None:
+                return f"write {matching_name}"
             word = value.lower().replace("_", "")
-            for replacement in (OTHER_VALUES.get(word), MORE_VALUES.get(word)):
+            for replacement in (OTHER_VALUES.get(word), FALLBACK_VALUES.get(word)):
                 if replacement in names:
                     return f"{value!r} is called {replacement!r} here"
             similar_name = most_similar(value, names)
@@ -274,9 +273,11 @@ def intended_choice(faults: Sequence[Any]) -> str | None:
 
 def _allowed_values(fault: Any) -> list[str]:
     """Return the values of the enumeration that a value is outside of."""
-    context = fault.get("ctx", {})
-    allowed = context.get("expected", context.get("expected_tags"))
-    return re.findall(r"'([^']*)'", str(allowed))
+    return re.findall(r"'([^']*)'", str(_allowed_text(fault.get("ctx", {}))))
+
+
+def _allowed_text(context: dict[str, Any]) -> Any:
+    return context.get("expected", context.get("expected_tags"))
 
 
 def _name_ignoring_case(value: str, names: Sequence[str]) -> str | None:
@@ -295,7 +296,7 @@ def _count_phrase(count: int) -> str:
 
 
 def _value_text(value: Any) -> str:
-    """Return a value as text for use in a message."""
+    """Return a value as YAML, shortened for a message."""
     if value is None:
         return "nothing"
     if isinstance(value, bool):

@@ -17,9 +17,9 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.documents.placeholders import (
     annotation_at,
+    excludes_text,
     placeholder_of,
     set_value_at,
-    takes_no_text,
 )
 from animtool.documents.yaml_values import plain_scalar
 
@@ -51,16 +51,16 @@ class Variables:
 
     names: frozenset[str] = frozenset()  # variables it uses or defines
     # Variables with a value that no text uses.
-    unused: frozenset[str] = frozenset()
+    unused_names: frozenset[str] = frozenset()
     # Variables that affect more than the key ``output``.
-    effective: frozenset[str] = frozenset()
+    effective_names: frozenset[str] = frozenset()
 
 
 def resolve_variables(
     document: Document,
     model: type[BaseModel],
     variables: Mapping[str, str],
-    parts: Collection[str] = (),
+    component_names: Collection[str] = (),
 ) -> Variables:
     """Substitute the variables in all values of a document; keys stay unchanged.
 
@@ -74,14 +74,16 @@ def resolve_variables(
         document: The document, changed in place.
         model: Model of the document.
         variables: Values by name; they override the document's.
-        parts: Names of variables that must be a single component of an output path,
-            without a slash.
+        component_names: Names of variables that must be a single component of an output
+            path, without a slash.
     """
-    resolver = _Resolver(document, model, dict(variables), component_names=set(parts))
+    resolver = _Resolver(
+        document, model, dict(variables), component_names=set(component_names)
+    )
     resolver.read_defaults()
-    for location, text in list(_texts(document.value, ())):
+    for location, text in list(_variable_texts(document.value, ())):
         if location[0] != DEFAULTS_KEY:
-            resolver.substitute(location, text)
+            resolver.substitute_at(location, text)
     defined_names = frozenset(resolver.defined_names)
     used_names = frozenset().union(*resolver.uses.values())
     names, unused_names = defined_names | used_names, defined_names - used_names
@@ -121,21 +123,21 @@ def _inner_schema(key: str, value: Any) -> Any:
 
 
 def _excludes_text(schema: dict[str, Any]) -> bool:
-    """Return whether a schema accepts no text."""
+    """Return whether a schema allows only numbers, booleans or fixed values."""
     return "enum" in schema or schema.get("type") in {"number", "integer", "boolean"}
 
 
-def _texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:
+def _variable_texts(node: Any, location: Location) -> Iterator[tuple[Location, str]]:
     """Yield each text of a document that may use a variable, with its location."""
     if isinstance(node, str):
         if "${" in node:
             yield location, node
     elif isinstance(node, dict):
         for key, value in node.items():
-            yield from _texts(value, (*location, key))
+            yield from _variable_texts(value, (*location, key))
     elif isinstance(node, list):
         for i, value in enumerate(node):
-            yield from _texts(value, (*location, i))
+            yield from _variable_texts(value, (*location, i))
 
 
 @dataclass(slots=True)
@@ -151,7 +153,7 @@ class _Resolver:
     # also by the variable's name.
     uses: dict[Location, set[str]] = field(default_factory=dict)
     # Variables with a faulty value.
-    faulty: set[str] = field(default_factory=set)
+    faulty_names: set[str] = field(default_factory=set)
     # Variables whose value another file sets, directly or through other variables.
     component_names: set[str] = field(default_factory=set)
 
@@ -172,9 +174,9 @@ class _Resolver:
                 continue
             source_text = self.document.source_text(location)
             default_text = str(value) if source_text is None else source_text
-            text = self.resolve(location, default_text)
+            text = self.expand_text(location, default_text)
             if text is None or isinstance(value, dict | list) or value is None:
-                self.faulty.add(name)
+                self.faulty_names.add(name)
             else:
                 self.values[name] = text
                 if self.uses.get(location, set()) & self.component_names:
@@ -195,14 +197,14 @@ class _Resolver:
             pending_names |= self.uses.get((DEFAULTS_KEY, name), set()) - used_names
         return frozenset(used_names)
 
-    def substitute(self, location: Location, text: str) -> None:
-        """Substitute variables in one text of the document."""
-        resolved_text = self.resolve(location, text)
+    def substitute_at(self, location: Location, text: str) -> None:
+        """Substitute variables in the text at a location, and parse the result."""
+        resolved_text = self.expand_text(location, text)
         is_output_path = (location[0], location[-1]) in OUTPUT_PATH_KEYS
         if resolved_text is not None and is_output_path:
-            resolved_text = self.output_name(location, text, resolved_text)
+            resolved_text = self.safe_output_name(location, text, resolved_text)
         value: Any = resolved_text
-        if resolved_text is not None and self.is_typed(location, text):
+        if resolved_text is not None and self.may_be_typed(location, text):
             try:
                 value = plain_scalar(resolved_text)
             except OverflowError:
@@ -214,15 +216,15 @@ class _Resolver:
             self.document.placeholders.add(location)
         set_value_at(self.document.value, location, value)
 
-    def output_name(
+    def safe_output_name(
         self, location: Location, text: str, resolved_text: str
     ) -> str | None:
-        """Return the name of an output; None with a fault if it is unsafe."""
+        """Return an output path; None with a fault if a variable makes it unsafe."""
         for component in text.split("/"):
             used_names = {match["name"] for match in _VARIABLE_USE.finditer(component)}
             if not used_names & self.component_names:
                 continue
-            name = self.resolve(location, component) or ""
+            name = self.expand_text(location, component) or ""
             problem = name_problem(name)
             if problem is not None:
                 message = f"{excerpt(component)} is {excerpt(name)}, which {problem}"
@@ -231,7 +233,7 @@ class _Resolver:
                 return None
         return resolved_text
 
-    def is_typed(self, location: Location, text: str) -> bool:
+    def may_be_typed(self, location: Location, text: str) -> bool:
         """Return whether a text may become a number or boolean.
 
         It is unquoted, or a single variable where text is not allowed.
@@ -241,30 +243,30 @@ class _Resolver:
         use = _VARIABLE_USE.fullmatch(text)
         if use is None or not use["name"]:
             return False
-        kind = annotation_at(self.model, self.document.value, location)
-        return kind is not None and takes_no_text(kind)
+        annotation = annotation_at(self.model, self.document.value, location)
+        return annotation is not None and excludes_text(annotation)
 
-    def resolve(self, location: Location, text: str) -> str | None:
+    def expand_text(self, location: Location, text: str) -> str | None:
         """Return a text with its variables substituted; None with a fault."""
-        substituted: list[str] = []
-        is_complete, end, length = True, 0, 0
+        text_pieces: list[str] = []
+        is_complete, use_end, length = True, 0, 0
         for use in _VARIABLE_USE.finditer(text):
-            value_text = self._value(location, use)
+            value_text = self._variable_value(location, use)
             length += len(value_text or "")
             if length > MAX_TEXT_LENGTH:
                 message = f"variables expand to more than {MAX_TEXT_LENGTH} characters"
                 self.document.add("DOC025", location, message)
                 return None
             is_complete &= value_text is not None
-            substituted += [text[end : use.start()], value_text or ""]
-            end = use.end()
-        return "".join([*substituted, text[end:]]) if is_complete else None
+            text_pieces += [text[use_end : use.start()], value_text or ""]
+            use_end = use.end()
+        return "".join([*text_pieces, text[use_end:]]) if is_complete else None
 
-    def _value(self, location: Location, match: re.Match[str]) -> str | None:
-        """Return the value of a variable; None with a fault if it is unknown."""
-        if match["escape"]:
-            return match[0][1:]
-        name = match["name"]
+    def _variable_value(self, location: Location, use: re.Match[str]) -> str | None:
+        """Return the text that replaces a use; None with a fault if it is unknown."""
+        if use["escape"]:
+            return use[0][1:]
+        name = use["name"]
         if name is None:
             message = "a ${ is not followed by a name and }"
             hint = "write ${name}, or $${ for the literal characters"
@@ -272,7 +274,7 @@ class _Resolver:
             return None
         key = location[:2] if location[0] == DEFAULTS_KEY else location[:1]
         self.uses.setdefault(key, set()).add(name)
-        if name not in self.values and name not in self.faulty:
+        if name not in self.values and name not in self.faulty_names:
             message = f"unknown variable {name!r}"
             hint = f"give it a value under {DEFAULTS_KEY}:"
             hint += clause(f", or with {argument('set', f'{name}=VALUE')}")

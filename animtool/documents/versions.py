@@ -52,7 +52,7 @@ _VERSION = re.compile(r"animtool/(0|[1-9][0-9]{0,8})")
 
 
 def newest_version_of(steps: MigrationSteps) -> int:
-    """Return the newest version of a format.
+    """Return the version that the last migration step of a format produces.
 
     >>> newest_version_of({}), newest_version_of({1: dict, 2: dict})
     (1, 3)
@@ -85,12 +85,12 @@ def renamed_keys(
         yield from renamed_keys(kind, child, location)
 
 
-def version_of(
+def kind_and_version(
     document: Document,
     table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
     kind: str | None = None,
 ) -> tuple[str, int]:
-    """Return the kind and the version of a document.
+    """Return the kind of a document, such as ``rig``, and its version number.
 
     Args:
         document: A file.
@@ -115,8 +115,8 @@ def version_of(
             message = "is not an animtool file: no key names its kind"
             hint = "such files end in .rig.yaml, .clip.yaml or .scene.yaml"
         # A clip and a scene name their rig.
-        names_rig = kind == path_kind and kinds_in_file == ["rig"]
-        if kinds_in_file and not names_rig:
+        is_rig_named = kind == path_kind and kinds_in_file == ["rig"]
+        if kinds_in_file and not is_rig_named:
             message = f"is not a {kind or ' or '.join(table)} file"
             hint = f"it looks like a {kinds_in_file[0]} file; "
             hint += _WRONG_KIND_HINTS[kinds_in_file[0]]
@@ -134,8 +134,10 @@ def version_of(
         document.check()
     newest_version = newest_version_of(table[named_kind])
     file_version = document.value[named_kind]
-    number = _VERSION.fullmatch(file_version) if isinstance(file_version, str) else None
-    version = int(number[1]) if number else newest_version + 1
+    version_match = (
+        _VERSION.fullmatch(file_version) if isinstance(file_version, str) else None
+    )
+    version = int(version_match[1]) if version_match else newest_version + 1
     if version <= newest_version and all(
         step_version in table[named_kind]
         for step_version in range(version, newest_version)
@@ -143,7 +145,7 @@ def version_of(
         return named_kind, version
     if isinstance(file_version, str) and file_version.startswith("animtool/"):
         message = f"unknown version {file_version}"
-        is_newer = number is not None and version > newest_version
+        is_newer = version_match is not None and version > newest_version
         hint = (
             f"this version reads up to animtool/{newest_version}: update animtool"
             if is_newer

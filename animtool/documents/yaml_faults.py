@@ -44,7 +44,7 @@ _SCANNER_FAULTS = {
 
 
 def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
-    r"""Return the syntax fault of a text.
+    r"""Return the message, hint and position for a text that is invalid YAML.
 
     Args:
         text: Content of the file.
@@ -66,41 +66,43 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
 
 def _tab_fault(lines: list[str], line: int) -> YamlFault | None:
     """Return the fault of a tab at the scanner's line or the line above; else None."""
-    for number in (line, line - 1):
-        source_line = lines[number - 1] if 1 <= number <= len(lines) else ""
+    for line_number in (line, line - 1):
+        source_line = lines[line_number - 1] if 1 <= line_number <= len(lines) else ""
         indent = source_line[: len(source_line) - len(source_line.lstrip())]
         if "\t" in indent:
-            tab = indent.index("\t") + 1
-            return YamlFault("a tab indents this line", "use spaces", number, tab)
+            tab_column = indent.index("\t") + 1
+            return YamlFault(
+                "a tab indents this line", "use spaces", line_number, tab_column
+            )
     return None
 
 
 def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault | None:
     """Return the fault of a key without a colon, above the position of the scanner."""
     line_text = lines[min(line, len(lines)) - 1]
-    line_before = _line_above(lines, line)
-    text_before = lines[line_before - 1] if line_before else ""
-    bare_key = _bare_key(text_before)
-    is_indented = _indent_width(line_text) >= _indent_width(text_before)
-    is_missing = "could not find expected ':'" in problem
-    is_missing |= "mapping values" in problem and is_indented
-    if bare_key is None or not is_missing:
+    line_above = _line_above(lines, line)
+    text_above = lines[line_above - 1] if line_above else ""
+    bare_key = _bare_key(text_above)
+    is_indented = _indent_width(line_text) >= _indent_width(text_above)
+    is_colon_missing = "could not find expected ':'" in problem
+    is_colon_missing |= "mapping values" in problem and is_indented
+    if bare_key is None or not is_colon_missing:
         return None
     name, _, remaining_text = bare_key.partition(" ")
     hint = f"write '{name}: {remaining_text.strip(' =') or 'value'}'"
-    column = text_before.index(bare_key) + 1
-    return YamlFault("a key has no colon", hint, line_before, column)
+    column = text_above.index(bare_key) + 1
+    return YamlFault("a key has no colon", hint, line_above, column)
 
 
 def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> YamlFault:
-    """Return the fault at the scanner's position."""
+    """Return the fault that the scanner's own message describes."""
     if "mapping values are not allowed" in problem:
         line_text = lines[min(line, len(lines)) - 1]
-        line_before = _line_above(lines, line)
-        indent_before = _indent_width(lines[line_before - 1])
-        if line_before and _indent_width(line_text) > indent_before:
-            message = f"line {line} is indented further than line {line_before}"
-            hint = f"start it in column {indent_before + 1}"
+        line_above = _line_above(lines, line)
+        indent_above = _indent_width(lines[line_above - 1])
+        if line_above and _indent_width(line_text) > indent_above:
+            message = f"line {line} is indented further than line {line_above}"
+            hint = f"start it in column {indent_above + 1}"
             return YamlFault(message, hint, line, column)
         entry = _ENTRY_ON_A_LINE.fullmatch(line_text)
         hint = "put the value in quotes"
@@ -133,12 +135,12 @@ def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
     if nearest_indent is None or nearest_indent == indent:
         message = "this line does not belong to the block above it"
         return YamlFault(message, "align it with the lines of its block", line, column)
-    nearest = f"in column {nearest_indent + 1}"
+    column_text = f"in column {nearest_indent + 1}"
     message = f"this line starts in column {indent + 1}; the keys above it start "
     if is_entry:
         message = f"the '-' on this line is in column {indent + 1}; the others of this "
         message += "list are "
-    return YamlFault(message + nearest, f"start it {nearest}", line, indent + 1)
+    return YamlFault(message + column_text, f"start it {column_text}", line, indent + 1)
 
 
 def _bare_key(line: str) -> str | None:
@@ -149,9 +151,9 @@ def _bare_key(line: str) -> str | None:
 
 def _line_above(lines: list[str], line: int) -> int:
     """Return the number of the nearest nonblank line above; 0 for none."""
-    for number in range(min(line, len(lines)) - 1, 0, -1):
-        if re.match(r"\s*[^\s#]", lines[number - 1]):
-            return number
+    for line_number in range(min(line, len(lines)) - 1, 0, -1):
+        if re.match(r"\s*[^\s#]", lines[line_number - 1]):
+            return line_number
     return 0
 
 

@@ -35,27 +35,27 @@ class YamlFault(NamedTuple):
     column: int
 
 
-def find_typing_mistake(text: str, stop: int) -> YamlFault | None:
+def find_typing_mistake(text: str, stop_line: int) -> YamlFault | None:
     r"""Return the first mistake in invalid YAML; None if it is not recognised.
 
     Args:
         text: The text.
-        stop: Line at which the scanner stopped, from 1.
+        stop_line: Line at which the scanner stopped, from 1.
 
     >>> find_typing_mistake("a: {stem}.usdc\n", 1)[:2]
     ('a value that starts with { is a mapping', 'put it in quotes: "{stem}.usdc"')
     """
     if len(text) > MAX_SCANNED_CHARACTERS:
         return None
-    return _MistakeFinder(text.splitlines(), stop).find_fault()
+    return _MistakeFinder(text.splitlines(), stop_line).find_fault()
 
 
 class _MistakeFinder:
     """Reads lines as the YAML scanner does, and tracks open brackets and quotes."""
 
-    def __init__(self, lines: list[str], stop: int) -> None:
+    def __init__(self, lines: list[str], stop_line: int) -> None:
         self.lines = lines
-        self.stop = stop
+        self.stop_line = stop_line
         self.line_number = 0  # of the line, from 1
         self.line = ""
         # Bracket, line, column, indent.
@@ -66,7 +66,7 @@ class _MistakeFinder:
 
     def find_fault(self) -> YamlFault | None:
         text_indent = None  # of the key whose value is a block of text
-        for number, line in enumerate(self.lines[: self.stop], 1):
+        for number, line in enumerate(self.lines[: self.stop_line], 1):
             self.line_number, self.line = number, line
             indent = len(line) - len(line.lstrip(" "))
             if text_indent is not None and (indent > text_indent or not line.strip()):
@@ -82,7 +82,7 @@ class _MistakeFinder:
             quote, open_line, column = self.open_quote
             hint = f"close it with {quote} on the same line"
             return YamlFault("a quote is not closed", hint, open_line, column)
-        if self.open_brackets and self.stop >= len(self.lines):
+        if self.open_brackets and self.stop_line >= len(self.lines):
             return self._unclosed_fault(len(self.lines))
         return None
 
@@ -103,7 +103,7 @@ class _MistakeFinder:
             hint = f"write '- {line_text[1:].split(' ')[0]}'"
             return self._fault_here("no space after '-'", hint, indent)
         key = _UNSPACED_KEY.fullmatch(line_text.split(" #")[0].rstrip())
-        if key and self._is_last():
+        if key and self._is_stop_line():
             return self._missing_space_fault(key[1], key[2], indent + key.start(1))
         return None
 
@@ -119,9 +119,9 @@ class _MistakeFinder:
         message, hint = "no comma at the end of this line", f"write '{text_above[-1]},'"
         return YamlFault(message, hint, line_above, len(text_above) + 1)
 
-    def _is_last(self) -> bool:
+    def _is_stop_line(self) -> bool:
         """Return whether the scanner stopped at this line or the next nonblank line."""
-        lines_between = self.lines[self.line_number : self.stop - 1]
+        lines_between = self.lines[self.line_number : self.stop_line - 1]
         return not any(line.split("#")[0].strip() for line in lines_between)
 
     def _missing_space_fault(self, key: str, value: str, column: int) -> YamlFault:
@@ -131,14 +131,14 @@ class _MistakeFinder:
 
     def _unclosed_fault(self, line: int) -> YamlFault:
         """Return the fault of the innermost bracket that a line leaves open."""
-        bracket, start, column, _ = self.open_brackets[-1]
-        while line > start and not self.lines[line - 1].split("#")[0].strip():
+        bracket, open_line, column, _ = self.open_brackets[-1]
+        while line > open_line and not self.lines[line - 1].split("#")[0].strip():
             line -= 1
-        end = "this line" if line == start else f"line {line}"
+        end_text = "this line" if line == open_line else f"line {line}"
         open_brackets = [open_bracket for open_bracket, *_ in self.open_brackets]
         closers = "".join(_CLOSING_BRACKETS[b] for b in reversed(open_brackets))
-        hint = f"add '{closers}' at the end of {end}"
-        return YamlFault(f"'{bracket}' is not closed", hint, start, column)
+        hint = f"add '{closers}' at the end of {end_text}"
+        return YamlFault(f"'{bracket}' is not closed", hint, open_line, column)
 
     def _fault_after_indent(self, indent: int) -> YamlFault | None:
         """Return the first mistake in a line, and track its brackets and quotes."""
@@ -220,9 +220,9 @@ class _MistakeFinder:
         self.open_brackets.pop()
         text_after = self.line[end_column + 1 :]
         if not self.open_brackets and re.match(r"\s*[\]}]", text_after):
-            extra = end_column + 1 + len(text_after) - len(text_after.lstrip())
-            message = f"'{self.line[extra]}' closes nothing"
-            return self._fault_here(message, "remove it", extra)
+            extra_column = end_column + 1 + len(text_after) - len(text_after.lstrip())
+            message = f"'{self.line[extra_column]}' closes nothing"
+            return self._fault_here(message, "remove it", extra_column)
         # If another value follows, a comma is missing.
         starts_value = self.open_brackets and text_after[:1] in " [{"
         if _AFTER_VALUE.match(text_after) or starts_value:
@@ -252,8 +252,8 @@ class _MistakeFinder:
     def _after_quote_fault(self, start: int, column: int) -> YamlFault | None:
         """Return the fault of a text that continues after a closing quote, if any."""
         text_after = self.line[column:]
-        following = text_after.lstrip()
-        starts_value = following[:1] in "\"'[{"
+        next_text = text_after.lstrip()
+        starts_value = next_text[:1] in "\"'[{"
         if self.open_quote or starts_value or _AFTER_VALUE.match(text_after):
             return None
         value = self._scalar_text(start)
@@ -261,7 +261,7 @@ class _MistakeFinder:
         if "'" not in value:
             hint = f"put all of it in single quotes: '{value}'"
         message = "text follows the closing quote"
-        return self._fault_here(message, hint, len(self.line) - len(following))
+        return self._fault_here(message, hint, len(self.line) - len(next_text))
 
     def _reserved_fault(self, column: int) -> YamlFault:
         message = f"a value cannot start with '{self.line[column]}'"

@@ -83,7 +83,7 @@ def _integral_values(value: Any) -> Any:
 
 
 def json_text(value: dict[str, Any]) -> str:
-    """Return values as JSON."""
+    """Return values as indented JSON that ends in a newline."""
     return json.dumps(value, indent=2, ensure_ascii=False) + "\n"
 
 
@@ -94,11 +94,13 @@ def comments_in(text: str) -> list[int]:
     [1, 3]
     """
     lines: list[int] = []
-    end, line = 0, 1
+    token_end, line = 0, 1
     for token in yaml.scan(masked_variables(text), yaml.CSafeLoader):
-        gap = text[end : token.start_mark.index]
+        text_between = text[token_end : token.start_mark.index]
         lines += [
-            line + i for i, line_text in enumerate(gap.split("\n")) if "#" in line_text
+            line + i
+            for i, line_text in enumerate(text_between.split("\n"))
+            if "#" in line_text
         ]
-        end, line = token.end_mark.index, token.end_mark.line + 1
+        token_end, line = token.end_mark.index, token.end_mark.line + 1
     return sorted(set(lines))

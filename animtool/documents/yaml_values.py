@@ -17,33 +17,38 @@ from typing import Any, NamedTuple, NoReturn, cast
 import yaml
 
 from animtool.core.errors import Fault, FormatError, excerpt
-from animtool.core.names import FILE_KINDS, VARIABLE_NAME, unreadable_character
+from animtool.core.names import (
+    DOCUMENT_FILE_SUFFIXES,
+    FILE_KINDS,
+    VARIABLE_NAME,
+    unreadable_character,
+)
 from animtool.core.record import dataclass
 from animtool.documents.json_values import plain_json
 from animtool.documents.yaml_faults import yaml_fault
 from animtool.documents.yaml_mistakes import YamlFault
 
 # Hand-written files nest five or six deep.
-MAX_DEPTH = 50
+MAX_NESTING = 50
 # Limit of line ends and separators, of which nearly every value has one: a rig of
 # 10,000 joints has 0.2 million, a clip of 100,000 keys 0.6 million. Reading takes about
 # 1 s of CPU per 100,000.
-MAX_MARKS = 2_000_000
-_NODE_MARKERS = ("\n", ",", ":", "[", "{", "- ", "? ")
+MAX_SEPARATORS = 2_000_000
+_SEPARATORS = ("\n", ",", ":", "[", "{", "- ", "? ")
 # Faults to collect before parsing stops.
 MAX_FAULTS = 200
 # Longest number: Python refuses longer ones, and no float has as many digits.
-MAX_DIGITS = 400
+MAX_NUMBER_LENGTH = 400
 MAX_HINT_LENGTH = 200
 MAX_SHOWN_KEY_LENGTH = 40
 MAX_KEY_LENGTH = 1000
 # Keys whose list is sometimes written as a mapping of times to values: of a channel,
 # and of rows that start with a time. Some are such a list in passes only.
 TIMED_KEY = "keys"
-ROW_KEYS = frozenset({"during", "hold", "moves", "opens", "temperatures", "turns"})
-PASS_ROW_KEYS = frozenset({"curve", "weight"})
-# Suffixes of YAML and JSON files.
-DOCUMENT_FILE_SUFFIXES = (".yaml", ".yml", ".json")
+TIMED_ROW_KEYS = frozenset(
+    {"during", "hold", "moves", "opens", "temperatures", "turns"}
+)
+PASS_TIMED_ROW_KEYS = frozenset({"curve", "weight"})
 
 # The matched group determines the kind of number; without a group it is an integer.
 _NUMBER = re.compile(
@@ -74,12 +79,12 @@ _BRACE_UNMASKS = str.maketrans({mask: brace for brace, mask in _BRACE_MASKS.item
 
 
 class SourceMarks(NamedTuple):
-    """Source positions and unquoted text of values."""
+    """Line and column of each value, and the source text of unquoted ones."""
 
     # Line and column of every node, in text order.
     positions: list[tuple[int, int]]
     # Source text of unquoted scalars, by node index.
-    unquoted: dict[int, str]
+    unquoted_texts: dict[int, str]
 
 
 class ParsedValues(NamedTuple):
@@ -91,14 +96,15 @@ class ParsedValues(NamedTuple):
 
 
 def read_values(text: str, path: Path) -> ParsedValues:
-    """Parse YAML or JSON text."""
-    marks = sum(map(text.count, _NODE_MARKERS))
-    if marks > MAX_MARKS:
-        message = f"contains {marks} value separators; the limit is {MAX_MARKS}"
+    """Parse YAML, or JSON if the path ends in ``.json``; raise all faults at once."""
+    separator_count = sum(map(text.count, _SEPARATORS))
+    if separator_count > MAX_SEPARATORS:
+        message = f"contains {separator_count} value separators; the limit is "
+        message += f"{MAX_SEPARATORS}"
         hint = "put arrays in npz files"
         raise FormatError(Fault("DOC024", message, str(path), (), hint))
     if path.suffix == ".json":
-        value = plain_json(text, MAX_DEPTH, MAX_KEY_LENGTH)
+        value = plain_json(text, MAX_NESTING, MAX_KEY_LENGTH)
         if value is not None:
             return ParsedValues(value, lambda: _read_yaml(text, path).marks())
     return _read_yaml(text, path)
@@ -119,7 +125,7 @@ def _read_yaml(text: str, path: Path) -> ParsedValues:
         position = (mark.line + 1, mark.column + 1) if mark else (1, 1)
         problem = " ".join(filter(None, (error.context, error.problem)))
         if "maximum nesting depth" in problem:  # libyaml reached its own limit first
-            reader.add_fault("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
+            reader.add_fault("DOC005", f"is nested deeper than {MAX_NESTING}", position)
             raise FormatError(reader.faults) from error
         fault = yaml_fault(text, problem, *position)
         hint = fault.hint
@@ -136,7 +142,7 @@ def _read_yaml(text: str, path: Path) -> ParsedValues:
         reader.add_fault("DOC001", f"invalid YAML: {error}".split("\n", 1)[0], (1, 1))
     if reader.faults:
         raise FormatError(reader.faults)
-    marks = SourceMarks(reader.positions, reader.unquoted)
+    marks = SourceMarks(reader.positions, reader.unquoted_texts)
     return ParsedValues(value, lambda: marks)
 
 
@@ -195,7 +201,7 @@ def plain_scalar(text: str) -> Any:
         return _CONSTANTS[text]
     if text[0] not in _NUMBER_STARTS or not (match := _NUMBER.fullmatch(text)):
         return text
-    if len(text) > MAX_DIGITS:
+    if len(text) > MAX_NUMBER_LENGTH:
         raise OverflowError
     kind = match.lastgroup
     if kind is not None:
@@ -212,7 +218,7 @@ class _YamlReader:
     def __init__(self, path: Path) -> None:
         self.path = path
         self.positions: list[tuple[int, int]] = []
-        self.unquoted: dict[int, str] = {}
+        self.unquoted_texts: dict[int, str] = {}
         self.faults: list[Fault] = []
 
     def add_fault(
@@ -231,7 +237,7 @@ class _YamlReader:
     def previous_node(self) -> tuple[str, tuple[int, int]]:
         """Return the unquoted text and the position of the node before the last."""
         index = max(0, len(self.positions) - 2)
-        return self.unquoted.get(index, ""), self.positions[index]
+        return self.unquoted_texts.get(index, ""), self.positions[index]
 
     def read(self, text: str) -> Any:
         masked_text = masked_variables(text)
@@ -241,34 +247,42 @@ class _YamlReader:
         stack: list[_OpenCollection] = [_OpenCollection(root)]
         document_count = 0
         while (event := parser.get_event()) is not None:
-            kind = type(event)
-            if kind is yaml.ScalarEvent:
+            event_type = type(event)
+            if event_type is yaml.ScalarEvent:
                 position = self._node_position(event)
                 if is_masked:
                     event.value = event.value.translate(_BRACE_UNMASKS)
                 unquoted = event.value if event.implicit[0] else ""
                 if unquoted:
-                    self.unquoted[len(self.positions) - 1] = unquoted
+                    self.unquoted_texts[len(self.positions) - 1] = unquoted
                 scalar = self._scalar(event, position)
                 stack[-1].add_node(scalar, position, self, unquoted)
-            elif kind is yaml.MappingStartEvent or kind is yaml.SequenceStartEvent:
+            elif (
+                event_type is yaml.MappingStartEvent
+                or event_type is yaml.SequenceStartEvent
+            ):
                 position = self._node_position(event)
-                value: Any = {} if kind is yaml.MappingStartEvent else []
-                if len(stack) > MAX_DEPTH:
-                    self._fail("DOC005", f"is nested deeper than {MAX_DEPTH}", position)
+                value: Any = {} if event_type is yaml.MappingStartEvent else []
+                if len(stack) > MAX_NESTING:
+                    self._fail(
+                        "DOC005", f"is nested deeper than {MAX_NESTING}", position
+                    )
                 collection = _OpenCollection(value, is_flow=bool(event.flow_style))
                 collection.timed_key = _timed_key(stack)
                 stack[-1].add_node(value, position, self)
                 stack.append(collection)
-            elif kind is yaml.MappingEndEvent or kind is yaml.SequenceEndEvent:
+            elif (
+                event_type is yaml.MappingEndEvent
+                or event_type is yaml.SequenceEndEvent
+            ):
                 stack.pop().report_time_keys(self)
-            elif kind is yaml.AliasEvent:
+            elif event_type is yaml.AliasEvent:
                 position = self._event_position(event)
                 self.positions.append(position)
                 message = f"alias *{_shortened_name(event.anchor)} is not allowed"
                 self.add_fault("DOC002", message, position, "write the value itself")
                 stack[-1].add_node(None, position, self)
-            elif kind is yaml.DocumentStartEvent:
+            elif event_type is yaml.DocumentStartEvent:
                 document_count += 1
                 if document_count > 1:
                     position = self._event_position(event)
@@ -320,11 +334,11 @@ class _OpenCollection:
     is_flow: bool = False  # whether it is in flow style
     timed_key: str | None = None  # the key whose list over time it should be
     # In the value of that key: numbers used as mapping keys, and their positions.
-    times: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
+    time_keys: list[tuple[float, tuple[int, int]]] = field(default_factory=list)
     # Pieces of a text that commas have split: a value with an open bracket, and the
     # keys after it.
     text_pieces: list[str] = field(default_factory=list)
-    bracket_depth: int = 0  # open brackets in the pieces
+    bracket_depth: int = 0  # number of open brackets in the pieces
     pieces_position: tuple[int, int] = (1, 1)  # position of the first piece
     fault_count: int = 0  # number of faults before the first piece
 
@@ -348,9 +362,9 @@ class _OpenCollection:
             return
         placeholder = f"\0{position}"
         if self.timed_key is not None and type(value) in (int, float):
-            self.times.append((value, position))
+            self.time_keys.append((value, position))
             value = placeholder
-        elif unquoted.isdigit() and self._is_decimal(position, reader):
+        elif unquoted.isdigit() and self._is_decimal_part(position, reader):
             digits, number_position = reader.previous_node()
             message = f"'{digits},{unquoted}' has a decimal comma"
             hint = f"write {digits}.{unquoted}, with a decimal point"
@@ -379,7 +393,7 @@ class _OpenCollection:
         self.key = value
         if self.text_pieces:
             self.text_pieces.append(unquoted)
-            self.bracket_depth += _open_brackets(unquoted)
+            self.bracket_depth += _open_bracket_count(unquoted)
 
     def _report_unspaced_key(self, reader: _YamlReader) -> None:
         """Report a key that includes its value because a space is missing."""
@@ -389,7 +403,7 @@ class _OpenCollection:
             message, hint = f"no space after '{match[1]}:'", f"write '{match[1]}: "
             reader.add_fault("DOC001", message, position, f"{hint}{match[2]}'")
 
-    def _is_decimal(self, position: tuple[int, int], reader: _YamlReader) -> bool:
+    def _is_decimal_part(self, position: tuple[int, int], reader: _YamlReader) -> bool:
         """Return whether a key is the fractional part of the number before it."""
         digits, (line, column) = reader.previous_node()
         is_integer = self.is_flow and digits.lstrip("+-").isdigit()
@@ -397,28 +411,28 @@ class _OpenCollection:
 
     def report_time_keys(self, reader: _YamlReader) -> None:
         """Report times used as mapping keys, with the correct form as a hint."""
-        if not self.times:
+        if not self.time_keys:
             return
         key = self.timed_key
-        values = [(time, self.value[f"\0{position}"]) for time, position in self.times]
+        values = [
+            (time, self.value[f"\0{position}"]) for time, position in self.time_keys
+        ]
         entries: list[Any] = timed_rows(values)
         if key == TIMED_KEY:
             entries = [
                 {"t": time} | (value if isinstance(value, dict) else {"v": value})
                 for time, value in values
             ]
-        hint = f"write {key}: {flow_value(entries)}"
-        if len(hint) > MAX_HINT_LENGTH:
-            hint = f"write {key}: {flow_value(entries[:1])[:-1]}, …]"
-        message = f"a key is {self.times[0][0]!r}, not text: {key} must be a list"
-        reader.add_fault("DOC010", message, self.times[0][1], hint[:MAX_HINT_LENGTH])
+        time, position = self.time_keys[0]
+        message = f"a key is {time!r}, not text: {key} must be a list"
+        reader.add_fault("DOC010", message, position, timed_list_hint(key, entries))
 
     def _rejoin_text(
         self, value: Any, position: tuple[int, int], reader: _YamlReader, unquoted: str
     ) -> None:
         """Rejoin a text that commas inside it split into a value and keys."""
         if value is not None or unquoted or not self.text_pieces:
-            self.bracket_depth = _open_brackets(unquoted)
+            self.bracket_depth = _open_bracket_count(unquoted)
             self.text_pieces = [unquoted] if self.bracket_depth > 0 else []
             self.pieces_position, self.fault_count = position, len(reader.faults)
         elif self.bracket_depth <= 0:
@@ -451,6 +465,14 @@ def flow_value(value: Any) -> str:
     return str(value)
 
 
+def timed_list_hint(key: object, entries: list[Any]) -> str:
+    """Return a hint that writes a list over time, with only its first entry if long."""
+    hint = f"write {key}: {flow_value(entries)}"
+    if len(hint) > MAX_HINT_LENGTH:
+        hint = f"write {key}: {flow_value(entries[:1])[:-1]}, …]"
+    return hint[:MAX_HINT_LENGTH]
+
+
 def timed_rows(values: Iterable[tuple[float, Any]]) -> list[list[Any]]:
     """Return rows of times and their values, which may be lists.
 
@@ -464,13 +486,13 @@ def timed_rows(values: Iterable[tuple[float, Any]]) -> list[list[Any]]:
 
 
 def _timed_key(stack: Sequence[_OpenCollection]) -> str | None:
-    """Return the key whose value starts if that is a list over time, else None."""
+    """Return the current key if its value is a list over time; else None."""
     key = stack[-1].key
     root = stack[1].value if len(stack) > 1 else None
     is_in_pass = isinstance(root, dict) and next(reversed(root), None) == "passes"
-    keys = {TIMED_KEY, *ROW_KEYS, *(PASS_ROW_KEYS if is_in_pass else ())}
+    keys = {TIMED_KEY, *TIMED_ROW_KEYS, *(PASS_TIMED_ROW_KEYS if is_in_pass else ())}
     return key if key in keys else None
 
 
-def _open_brackets(text: str) -> int:
+def _open_bracket_count(text: str) -> int:
     return text.count("(") - text.count(")")

@@ -21,8 +21,8 @@ from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.documents.document import Document, Location
 from animtool.documents.references import (
-    missing_hint,
     resolve_reference,
+    similar_file_hint,
     split_reference,
 )
 from animtool.ik.schema import ValueModel
@@ -368,7 +368,7 @@ class ValueReader:
         )
         reason = None if path is None else not_a_file_reason(path)
         if reason is not None:
-            hint = missing_hint(self.document, model.file)
+            hint = similar_file_hint(self.document, model.file)
             self.document.add("DOC015", location, f"{model.file!r} {reason}", hint)
             return None
         return path

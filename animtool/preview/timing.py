@@ -19,7 +19,7 @@ from animtool.preview.draft import Timeline
 from animtool.preview.open_file import OpenFile, TakeToShow
 from animtool.preview.options import PreviewOptions
 from animtool.preview.takes import BufferedMotion
-from animtool.scene.bake.first_frame import frame_start
+from animtool.scene.bake.first_frame import start_frame_at_rate
 from animtool.scene.bake.frames import TakePlan, resample_for_output
 from animtool.scene.bake.options import BakeOptions
 
@@ -70,7 +70,7 @@ def fit_to_page(
     stream = take.stream
     start = Fraction(1)
     if stream.start is not None:
-        start = frame_start(stream.start, stream.fps, fps, rounds_to_frame=True)
+        start = start_frame_at_rate(stream.start, stream.fps, fps, is_rounded=True)
     clip_origin = start
     # A rig at rest fits any frame range and rate.
     is_rig = has_kind_suffix(file.path, "rig")

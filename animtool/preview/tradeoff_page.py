@@ -63,7 +63,7 @@ def page_parts(report: Tradeoffs, namer: ArgumentNamer = python_name) -> Iterato
         text = f"{notice.severity}: {notice.code} {message}"
         yield f"<p>{html.escape(text)}</p>\n"
     pairs_by_table = {
-        compared_pair.table: compared_pair for compared_pair in report.pairs
+        compared_pair.table_index: compared_pair for compared_pair in report.stage_pairs
     }
     panels = panels_of(report.tables)
     for i, (table, panel) in enumerate(zip(report.tables, panels, strict=True)):

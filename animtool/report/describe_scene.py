@@ -10,7 +10,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.writers import writer_of
-from animtool.scene.bake.reading import default_output, form_of, output_files
+from animtool.scene.bake.reading import default_output, layer_form, output_files
 from animtool.scene.file.entries import SceneOutput, SceneSystem
 from animtool.scene.scene import Scene
 
@@ -116,15 +116,14 @@ def describe_scene(scene: Scene) -> SceneDescription:
 
 def _describe_system(scene: Scene, system: SceneSystem) -> SystemDescription:
     setup = system.setup
-    facts = setup.facts
     return SystemDescription(
         system.name,
         system.kind,
-        facts.counts,
-        facts.method,
-        facts.step,
-        facts.colliders,
-        list(dict.fromkeys(name for name, _ in setup.joined)),
+        setup.counts,
+        setup.method,
+        setup.spec.step,
+        setup.surroundings.collider_count,
+        list(dict.fromkeys(name for name, _ in setup.joined_systems)),
         list(dict.fromkeys(setup.surroundings.collided_systems)),
         setup.surroundings.carrier_bodies,
         [str(path) for path in dict.fromkeys(setup.files) if path != scene.path],
@@ -137,14 +136,14 @@ def _describe_output(scene: Scene, output: SceneOutput) -> OutputDescription:
     path, bake = output.path or default_output(scene.path), output.bake
     writer = writer_of(path)
     is_usd = writer is None or writer.stage
-    written_systems = [s for s in scene.for_output(output).systems if s.written]
-    files = output_files(path, bake, simulated=bool(written_systems))
+    written_systems = [s for s in scene.for_output(output).systems if s.is_written]
+    files = output_files(path, bake, has_systems=bool(written_systems))
     if writer is not None and not is_usd:
         files = writer.files(path)
     return OutputDescription(
         str(path),
         "usd" if writer is None else writer.name,
-        str(form_of(bake)) if is_usd else "",
+        str(layer_form(bake)) if is_usd else "",
         [str(path) for path in files],
         [str(path) for path in files if path.exists()],
         bake.deform,

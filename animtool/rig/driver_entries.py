@@ -73,7 +73,7 @@ def record_descents(
     document: Document, location: Location, values: list[float]
 ) -> Iterator[int]:
     """Record a fault for each curve point that does not ascend; yield its index."""
-    for k, previous in list(document.not_ascending(location, values, 0)):
+    for k, previous in list(document.unordered_entries(location, values, 0)):
         message = f"{values[k]:g} is not greater than {values[previous]:g}"
         document.add("RIG016", (*location, k), message, "values ascend")
         yield k
@@ -91,7 +91,7 @@ class DriverCheck:
     model: RigModel
     rig: Rig
     # Whether unknown joints or controls may exist.
-    has_unnamed: Mapping[str, bool]
+    has_unknown_name: Mapping[str, bool]
     # Joints of unknown type.
     untyped_joints: frozenset[str]
 
@@ -127,10 +127,10 @@ class DriverCheck:
         """Return whether a driver cannot read an input; record why."""
         fault = coordinate_fault(self.rig, name)
         joint, _ = split_coordinate(name)
-        has_unnamed_parts = self.has_unnamed["joints" if joint else "controls"]
+        has_unknown_parts = self.has_unknown_name["joints" if joint else "controls"]
         is_missing = joint not in self.rig.names if joint else True
         is_known = not (
-            joint in self.untyped_joints or (is_missing and has_unnamed_parts)
+            joint in self.untyped_joints or (is_missing and has_unknown_parts)
         )
         if fault is not None and is_known:
             self._add_fault(fault.code, location, fault.message, fault.hint)

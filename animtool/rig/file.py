@@ -55,7 +55,7 @@ def read_bind_poses(
     for name, model in models.items():
         if name not in joints:
             message = f"unknown joint {name!r}"
-            if not file_joints.has_unnamed:
+            if not file_joints.has_unknown_name:
                 hint = name_hint(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
@@ -137,7 +137,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         )
     inherited_rig = Rig("", ()) if base_rig is None else base_rig
     if not (
-        joints.joints or joints.has_unnamed or model.shapes or inherited_rig.shapes
+        joints.joints or joints.has_unknown_name or model.shapes or inherited_rig.shapes
     ):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
@@ -185,11 +185,13 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         has_animated_parents=inherited_rig.has_animated_parents,
     )
     if rig.is_driven:
-        has_unnamed = {
-            "joints": joints.has_unnamed or bool(joints.orphaned_joints),
-            "controls": bool(document.has_unnamed("controls")),
+        has_unknown_name = {
+            "joints": joints.has_unknown_name or bool(joints.orphaned_joints),
+            "controls": bool(document.has_unknown_name("controls")),
         }
-        DriverCheck(document, model, rig, has_unnamed, joints.untyped_joints).check()
+        DriverCheck(
+            document, model, rig, has_unknown_name, joints.untyped_joints
+        ).check()
     document.check()
     notice_count = len(document.notices)
     warn_of_shape(document, rig)
@@ -319,5 +321,5 @@ def _overlay_joints(
     return FileJoints(
         tuple(joints),
         untyped_joints=untyped_names,
-        has_unnamed=sidecar_roots.has_unnamed,
+        has_unknown_name=sidecar_roots.has_unknown_name,
     )

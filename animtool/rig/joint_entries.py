@@ -58,7 +58,7 @@ class FileJoints:
     mirrored_joints: frozenset[str] = frozenset()
     # Names of joints whose type is unknown.
     untyped_joints: frozenset[str] = frozenset()
-    has_unnamed: bool = False  # whether there are more joints, with unknown names
+    has_unknown_name: bool = False  # whether there are more joints, with unknown names
 
 
 @dataclass(slots=True)
@@ -94,8 +94,8 @@ def read_joints(
     document: Document, models: list[JointModel], units: FileUnits
 ) -> FileJoints:
     """Return the joints of a file, parents before children; record faults."""
-    has_unnamed = document.has_unnamed("joints", "name", "mirror")
-    entries = _joint_entries(document, models, has_unnamed=has_unnamed)
+    has_unknown_name = document.has_unknown_name("joints", "name", "mirror")
+    entries = _joint_entries(document, models, has_unknown_name=has_unknown_name)
     tree = _JointTree()
     for name in _in_dependency_order(document, entries):
         entry = entries[name]
@@ -125,14 +125,14 @@ def read_joints(
             for name, entry in entries.items()
             if document.is_placeholder(("joints", entry.index, "type"))
         ),
-        has_unnamed,
+        has_unknown_name,
     )
     joints = _with_mimics(document, models, entries, joints, units)
     return _with_drivers(document, models, entries, joints, units)
 
 
 def _joint_entries(
-    document: Document, models: list[JointModel], *, has_unnamed: bool
+    document: Document, models: list[JointModel], *, has_unknown_name: bool
 ) -> dict[str, _JointEntry]:
     """Return the joints to build by name; record duplicates and unknown parents."""
     entries: dict[str, _JointEntry] = {}
@@ -166,7 +166,7 @@ def _joint_entries(
         if entry.parent is not None and entry.parent not in entries:
             message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
-            if not entry.is_mirrored and not has_unnamed:
+            if not entry.is_mirrored and not has_unknown_name:
                 hint = name_hint(entry.parent, list(entries))
                 document.add("RIG002", location, message, hint)
             entry.parent, entry.is_orphaned = None, True
@@ -378,7 +378,7 @@ def _with_mimics(
         leader = indices_by_name.get(mimic.joint)
         if leader is None:
             message = f"unknown joint {mimic.joint!r}"
-            if not file_joints.has_unnamed:
+            if not file_joints.has_unknown_name:
                 hint = name_hint(mimic.joint, list(indices_by_name))
                 document.add("RIG008", location, message, hint)
             continue

@@ -100,7 +100,9 @@ class PartReader:
             inbetweens: list[Inbetween] = []
             weights = [entry.at for entry in shape.inbetweens]
             predecessors = dict(
-                self.document.not_ascending((*location, "inbetweens"), weights, "at")
+                self.document.unordered_entries(
+                    (*location, "inbetweens"), weights, "at"
+                )
             )
             for k, inbetween in enumerate(shape.inbetweens):
                 inbetween_location = (*location, "inbetweens", k)
@@ -479,8 +481,10 @@ class PartReader:
         """Return whether a name exists; record a fault otherwise."""
         if name in names:
             return True
-        has_unnamed = self.document.has_unnamed(_LIST_KEYS[kind])
-        if not (self.file_joints.has_unnamed if kind == "joint" else has_unnamed):
+        has_unknown_name = self.document.has_unknown_name(_LIST_KEYS[kind])
+        if not (
+            self.file_joints.has_unknown_name if kind == "joint" else has_unknown_name
+        ):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(
                 code, location, f"unknown {kind} {name!r}", name_hint(name, names)

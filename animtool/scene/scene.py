@@ -31,7 +31,12 @@ from animtool.scene.file.entries import (
 )
 from animtool.scene.file.pass_order import with_order_hints
 from animtool.scene.sources.open import SourceOptions, open_checked, open_source
-from animtool.scene.sources.retime import Preroll, drop_first, in_shot, with_preroll
+from animtool.scene.sources.retime import (
+    Preroll,
+    drop_first_frames,
+    in_shot,
+    with_preroll,
+)
 
 if TYPE_CHECKING:
     from animtool.rig.placement import Placement
@@ -44,7 +49,7 @@ DEFAULT_FPS = Fraction(24)
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """A scene file."""
+    """The content of a scene file: what is read, changed, simulated and written."""
 
     path: Path
     # Sources, at least one; the first has the rig and the frames.
@@ -54,12 +59,12 @@ class Scene:
     rig: Path | None = None  # rig of all sources; None uses the first source's rig
     props: tuple[SceneProp, ...] = ()
     # Frame of the shot at the first frame of the sources; None is as they state.
-    first: Fraction | None = None
+    first_frame: Fraction | None = None
     # Number of frames before the take at which passes with a state begin; None is none.
     preroll: Preroll | None = None
     # Names of the variables that it uses or sets.
     variables: frozenset[str] = frozenset()
-    idle_variables: frozenset[str] = frozenset()  # variables that no text uses
+    unused_variables: frozenset[str] = frozenset()  # variables that no text uses
     # Variables that affect more than the outputs.
     effective_variables: frozenset[str] = frozenset()
     notices: tuple[Fault, ...] = ()  # warnings of the file itself
@@ -88,10 +93,12 @@ class Scene:
             paths += [prop.file, *filter(None, [prop.reference])]
         for system in self.systems:
             paths += system.setup.files
-        for entry in self.passes:
-            values = (getattr(entry.options, f.name) for f in fields(entry.options))
+        for scene_pass in self.passes:
+            values = (
+                getattr(scene_pass.options, f.name) for f in fields(scene_pass.options)
+            )
             paths += [folder / path for path in values if isinstance(path, Path)]
-            paths += entry.files
+            paths += scene_pass.files
         return paths
 
     @property
@@ -99,8 +106,8 @@ class Scene:
         """Files that passes and systems write in addition to the outputs."""
         folder = self.path.resolve().parent
         names: list[str] = []
-        for entry in self.passes:
-            names += getattr(entry.options, "writes", ())
+        for scene_pass in self.passes:
+            names += getattr(scene_pass.options, "writes", ())
         for system in self.systems:
             names += system.setup.writes
         return [folder / name for name in names]
@@ -115,7 +122,7 @@ class Scene:
             i for i, system in enumerate(self.systems) if system.name in output.systems
         ]
         systems = tuple(
-            replace(self.systems[i], written=i in written_indices)
+            replace(self.systems[i], is_written=i in written_indices)
             for i in with_dependencies(self.systems, written_indices)
         )
         return replace(self, outputs=(output,), systems=systems)
@@ -123,7 +130,7 @@ class Scene:
     def with_source_options(
         self, *, force_fit: bool, placement: str | None = None
     ) -> Scene:
-        """Return the scene with options set on all its sources, as in `SourceOptions`.
+        """Return a copy with options of `SourceOptions` set on all its sources.
 
         False and None keep those of the sources.
         """
@@ -131,13 +138,13 @@ class Scene:
             return self
         sources = []
         for source in self.sources:
-            forced = force_fit or source.options.force_fit
-            options = replace(source.options, force_fit=forced, placement=placement)
+            is_forced = force_fit or source.options.force_fit
+            options = replace(source.options, force_fit=is_forced, placement=placement)
             sources.append(replace(source, options=options))
         return replace(self, sources=tuple(sources))
 
     def with_shot(self, shot: Shot) -> Scene:
-        """Return the scene with its take placed in time by a timeline's shot.
+        """Return a copy whose take is placed in time by a shot of a timeline.
 
         Time codes of the take become frames of the shot. The scene may override the
         cut, the handles or the range.
@@ -166,28 +173,32 @@ class Scene:
     def open(
         self, *, writes_files: bool = True, progress: Progress = None
     ) -> TakeStream:
-        """Return the source with all passes applied.
+        """Return the joined sources as a stream, with all passes applied.
 
         Args:
             writes_files: Whether passes write files of their own, as in a bake.
             progress: Called with the fraction done, 0 to 1, until the blocks are read.
         """
-        slow_passes = sum(entry.pass_.reports_progress for entry in self.passes)
-        block_progress = progress and BlockProgress(progress, slow_passes)
-        stream = self._source(None if block_progress is None else block_progress.read)
+        slow_pass_count = sum(
+            scene_pass.pass_.reports_progress for scene_pass in self.passes
+        )
+        block_progress = progress and BlockProgress(progress, slow_pass_count)
+        stream = self._metered_source(
+            None if block_progress is None else block_progress.read
+        )
         context = self._context(writes_files=writes_files)
         props = self._open_props(stream)
-        dropped = stream.dropped
-        stream = self._with_props(stream, props, dropped, select_retimed=True)
+        dropped_placement = stream.dropped
+        stream = self._with_props(stream, props, dropped_placement, is_retimed=True)
         pass_index = 0
-        for entry in self.passes:
+        for scene_pass in self.passes:
             pass_context = context
-            if block_progress is not None and entry.pass_.reports_progress:
+            if block_progress is not None and scene_pass.pass_.reports_progress:
                 pass_progress = block_progress.of_pass(pass_index)
                 pass_context = replace(context, progress=pass_progress)
                 pass_index += 1
-            stream = self._apply_pass(stream, entry, pass_context)
-        stream = self._with_props(stream, props, dropped, select_retimed=False)
+            stream = self._apply_pass(stream, scene_pass, pass_context)
+        stream = self._with_props(stream, props, dropped_placement, is_retimed=False)
         if block_progress is not None:
             stream.blocks = block_progress.blocks(stream.blocks)
         return stream
@@ -197,21 +208,23 @@ class Scene:
 
         Props that no pass retimes are not included. Passes write no files.
         """
-        source = self._source()
+        source = self._metered_source()
         props = self._open_props(source)
-        with_props = self._with_props(
-            source, props, source.dropped, select_retimed=True
+        source_with_props = self._with_props(
+            source, props, source.dropped, is_retimed=True
         )
-        take, stream = _collect_stream(with_props)
+        take, stream = _collect_stream(source_with_props)
         yield take, stream
         context = self._context(writes_files=False)
-        for entry in self.passes:
-            take, stream = _collect_stream(self._apply_pass(stream, entry, context))
+        for scene_pass in self.passes:
+            take, stream = _collect_stream(
+                self._apply_pass(stream, scene_pass, context)
+            )
             yield take, stream
 
-    def apply_entry(self, stream: TakeStream, entry: ScenePass) -> TakeStream:
+    def apply_scene_pass(self, stream: TakeStream, scene_pass: ScenePass) -> TakeStream:
         """Return the result of a pass on a take; the pass writes no files."""
-        return self._apply_pass(stream, entry, self._context(writes_files=False))
+        return self._apply_pass(stream, scene_pass, self._context(writes_files=False))
 
     def _context(self, *, writes_files: bool) -> PassContext:
         shot = self.bake.shot
@@ -225,41 +238,43 @@ class Scene:
         )
 
     def _add_colliders(
-        self, stream: TakeStream, options: object, lead: float
+        self, stream: TakeStream, options: object, lead_seconds: float
     ) -> tuple[TakeStream, object]:
         # Loaded by name, like all systems.
         with_colliders = load_object("animtool.scene.systems.attached:with_colliders")
         add_colliders = cast("Callable[..., tuple[TakeStream, object]]", with_colliders)
-        return add_colliders(self.systems, self.path, stream, options, lead)
+        return add_colliders(self.systems, self.path, stream, options, lead_seconds)
 
     def _simulate_segments(
         self, take: Take, system: str, particle: str, progress: Progress
     ) -> FloatArray:
         # Loaded by name, since systems open scenes themselves.
-        segments = load_object("animtool.scene.systems.segments:segments_of")
-        segments_of = cast("Callable[..., FloatArray]", segments)
-        shot, lead = self.bake.shot, 0.0
+        loaded_function = load_object("animtool.scene.systems.segments:segments_of")
+        segments_of = cast("Callable[..., FloatArray]", loaded_function)
+        shot, lead_seconds = self.bake.shot, 0.0
         if shot is not None and shot.places_media:
             # If a shot begins before its take, the take's first pose is held.
             lead_time = take.clock.start - shot.start
-            lead = max(0.0, float(lead_time / take.clock.fps))
+            lead_seconds = max(0.0, float(lead_time / take.clock.fps))
         return segments_of(
-            self.systems, self.path, take, system, particle, progress, lead
+            self.systems, self.path, take, system, particle, progress, lead_seconds
         )
 
-    def _source(self, progress: Progress = None) -> TakeStream:
-        """Return the source; the time to read it is charged to the meter."""
+    def _metered_source(self, progress: Progress = None) -> TakeStream:
+        """Return the joined sources in frames of the shot, charged to the meter."""
         self.meter.stages.clear()
         if not self.sources:
             message = "is simulated, and has no source with joints"
             hint = "bake it without options for characters"
             raise OptionError(Fault("SCN062", message, str(self.path), (), hint))
-        first = self.sources[0]
-        stage = self.meter.stage(first.path.name, first.location.where)
-        with self.meter.running(stage):
-            stream = in_shot(self._sources(progress), self.bake.shot)
-        stream.curve = self.meter.curve(stage, stream.curve)
-        stream.blocks = self.meter.blocks(stage, stream.blocks)
+        first_source = self.sources[0]
+        source_cost = self.meter.stage(
+            first_source.path.name, first_source.location.where
+        )
+        with self.meter.running(source_cost):
+            stream = in_shot(self._joined_sources(progress), self.bake.shot)
+        stream.curve = self.meter.curve(source_cost, stream.curve)
+        stream.blocks = self.meter.blocks(source_cost, stream.blocks)
         return stream
 
     def _open_props(self, stream: TakeStream) -> Sequence[OpenProp]:
@@ -275,34 +290,36 @@ class Scene:
         self,
         stream: TakeStream,
         props: Sequence[OpenProp],
-        dropped: Callable[[FloatArray], Placement] | None,
+        dropped_placement: Callable[[FloatArray], Placement] | None,
         *,
-        select_retimed: bool,
+        is_retimed: bool,
     ) -> TakeStream:
         """Return a take with its retimed props, or with its other props."""
-        matching_props = [
-            prop for prop in props if prop.entry.retimed is select_retimed
-        ]
+        matching_props = [prop for prop in props if prop.entry.is_retimed is is_retimed]
         if not matching_props:
             return stream
         from animtool.scene.sources.props import with_props
 
-        return with_props(stream, matching_props, self.first, self.bake.fps, dropped)
+        return with_props(
+            stream, matching_props, self.first_frame, self.bake.fps, dropped_placement
+        )
 
     @contextmanager
     def located_props(self) -> Iterator[None]:
-        """In a block, locate the faults of props at their entries."""
+        """Locate faults of props that a block raises at their entries in the file."""
         locations = {prop.path: prop.location for prop in self.props}
         try:
             yield
         except OptionError as error:
             if not all(fault.where in locations for fault in error.faults):
                 raise
-            faults = [locations[str(each.where)].locate(each) for each in error.faults]
+            faults = [
+                locations[str(fault.where)].locate(fault) for fault in error.faults
+            ]
             raise FormatError(faults) from error
 
     def _apply_pass(
-        self, stream: TakeStream, entry: ScenePass, context: PassContext
+        self, stream: TakeStream, scene_pass: ScenePass, context: PassContext
     ) -> TakeStream:
         """Return the result of a pass on a take, charged to the meter.
 
@@ -312,39 +329,39 @@ class Scene:
         pass_notices: list[Fault] = []
         notices, details, scores = stream.notices, stream.details, stream.scores
         context = replace(context, scores=[])
-        stage = self.meter.stage(entry.pass_.name, entry.location.where)
+        pass_cost = self.meter.stage(scene_pass.pass_.name, scene_pass.location.where)
         context.errors.clear()
         with (
-            self.meter.running(stage),
-            with_order_hints(self.passes, entry, context.folder),
-            entry.location.located(),
+            self.meter.running(pass_cost),
+            with_order_hints(self.passes, scene_pass, context.folder),
+            scene_pass.location.located(),
         ):
             stream = self._apply_with_preroll(
-                entry, replace(stream, notices=pass_notices), context
+                scene_pass, replace(stream, notices=pass_notices), context
             )
         pass_notices += context.notices
         context.notices.clear()
 
         def collect_results() -> None:
             new_notices = drop_repeated_notices(pass_notices, notices)
-            notices.extend(map(entry.location.locate, new_notices))
+            notices.extend(map(scene_pass.location.locate, new_notices))
             pass_notices.clear()
-            name, key = entry.pass_.name, entry.location.where
+            name, key = scene_pass.pass_.name, scene_pass.location.where
             scores.extend(score.with_pass(name, key) for score in context.scores)
             context.scores.clear()
 
         collect_results()
-        stage.error = max(context.errors, default=None)
-        blocks = _located_blocks(entry.location, stream.blocks, collect_results)
-        stream = replace(stream, blocks=self.meter.blocks(stage, blocks))
+        pass_cost.error = max(context.errors, default=None)
+        blocks = _located_blocks(scene_pass.location, stream.blocks, collect_results)
+        stream = replace(stream, blocks=self.meter.blocks(pass_cost, blocks))
         return replace(stream, notices=notices, details=details, scores=scores)
 
     def until(self, last_pass: str) -> Scene:
-        """Return the scene with its passes up to ``last_pass``.
+        """Return a copy with only the passes up to ``last_pass``.
 
         This is the last pass to run, by name or number from 1; 0 runs none.
         """
-        names = [entry.pass_.name for entry in self.passes]
+        names = [scene_pass.pass_.name for scene_pass in self.passes]
         matching_numbers = [i for i, name in enumerate(names, 1) if name == last_pass]
         if last_pass.isdecimal() and int(last_pass) <= len(names):
             matching_numbers = [int(last_pass)]
@@ -361,28 +378,28 @@ class Scene:
         elif len(names) == 1:
             hint = f"its only pass is {numbered_names}"
         elif not names:
-            message, hint = (
-                "the scene has no passes",
-                f"remove {argument('command.until')}",
-            )
+            message = "the scene has no passes"
+            hint = f"remove {argument('command.until')}"
         raise OptionError(Fault("SCN043", message, str(self.path), (), hint))
 
     def _apply_with_preroll(
-        self, entry: ScenePass, stream: TakeStream, context: PassContext
+        self, scene_pass: ScenePass, stream: TakeStream, context: PassContext
     ) -> TakeStream:
         """Return a take with a pass applied, including the preroll the pass needs."""
         lead_frames = 0
-        if entry.pass_.needs_preroll and self.preroll is not None:
-            lead_frames = self.preroll.frames(stream)
+        if scene_pass.pass_.needs_preroll and self.preroll is not None:
+            lead_frames = self.preroll.missing_frame_count(stream)
         if not lead_frames:
-            return apply_pass(stream, entry.pass_, entry.options, context)
-        with_lead = with_preroll(stream, lead_frames)
+            return apply_pass(stream, scene_pass.pass_, scene_pass.options, context)
+        stream_with_lead = with_preroll(stream, lead_frames)
         context = replace(context, prepended_frames=lead_frames)
-        passed_stream = apply_pass(with_lead, entry.pass_, entry.options, context)
-        return drop_first(passed_stream, lead_frames, stream.start)
+        passed_stream = apply_pass(
+            stream_with_lead, scene_pass.pass_, scene_pass.options, context
+        )
+        return drop_first_frames(passed_stream, lead_frames, stream.start)
 
-    def _sources(self, progress: Progress) -> TakeStream:
-        """Return the stream of all sources, joined."""
+    def _joined_sources(self, progress: Progress) -> TakeStream:
+        """Open all sources and join them; raise the faults of all together."""
         if len(self.sources) == 1:
             (source,) = self.sources
             stream = self._open_source(source, progress)
@@ -399,9 +416,7 @@ class Scene:
             except AnimtoolError as error:
                 faults += map(source.location.locate, error.faults)
                 continue
-            timecode = (source.timecode, source.timecode_fps)
-            note = source.location.fault
-            joined_sources.append(JoinedSource(stream, source.tracks, *timecode, note))
+            joined_sources.append(JoinedSource(stream, source))
         if faults:
             raise FormatError(faults)
         location = self.sources[0].location

@@ -16,7 +16,7 @@ from support.cli import animtool
 from support.faults import raises
 
 from animtool.batch import bundle
-from animtool.batch.bundle import chunk_size, mean_seconds
+from animtool.batch.bundle import chunk_size, mean_item_seconds
 from animtool.core.errors import FormatError
 
 JOB = "batch: animtool/1\ninputs: [takes]\noutput: out/{stem}.usdc\n"
@@ -44,7 +44,7 @@ def test_costs_are_those_of_a_report(takes: Path) -> None:
     path = takes / "costs.json"
     path.write_text(done.stdout)
     made = json.loads(done.stdout)["items"][:4]
-    assert mean_seconds(path) == sum(item["seconds"] for item in made) / 4
+    assert mean_item_seconds(path) == sum(item["seconds"] for item in made) / 4
 
 
 @pytest.mark.parametrize(
@@ -62,7 +62,7 @@ def test_what_reports_no_costs(tmp_path: Path, text: str | None) -> None:
     if text is not None:
         path.write_text(text)
     with pytest.raises(FormatError) as error:
-        mean_seconds(path)
+        mean_item_seconds(path)
     assert error.value.code == "BAT037"
 
 
@@ -73,7 +73,7 @@ def test_a_report_that_is_too_large_is_not_read(
     path = tmp_path / "costs.json"
     path.write_text('{"items": [' + " " * 1000 + "]}")
     with raises(FormatError, "BAT037", match=r"0\.001"):
-        mean_seconds(path)
+        mean_item_seconds(path)
 
 
 def test_a_bundle(takes: Path) -> None:

@@ -36,7 +36,10 @@ def work(folder: Path, argument: str, limits: Limits | None = None) -> Work:
     builder = ItemBuilder(batch.item_task, batch.root)
     items = tuple(batch.items)
     inputs = tuple(item.file.path for item in items)
-    folders = (batch.records, *dict.fromkeys(f for i in items for f in i.folders))
+    folders = (
+        batch.records_folder,
+        *dict.fromkeys(f for i in items for f in i.folders),
+    )
     return Work(
         builder,
         iter(items),
@@ -126,8 +129,8 @@ def test_a_cluster_that_is_lost_ends_the_run(
         outcomes = dask(work(tmp_path, lost.scheduler_address))
         next(outcomes)
         monkeypatch.setattr("animtool.batch.cluster.MAX_WORKERLESS_SECONDS", 0.2)
-        monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
-        monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.5)
+        monkeypatch.setattr("animtool.batch.cluster.ANSWER_TIMEOUT", 0.5)
+        monkeypatch.setattr("animtool.batch.cluster_client.ANSWER_TIMEOUT", 0.5)
         if whole:
             lost.close()
         else:
@@ -209,8 +212,8 @@ def test_the_command_line(cluster: str, tmp_path: Path) -> None:
 def test_no_cluster_there(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.2)
-    monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.2)
+    monkeypatch.setattr("animtool.batch.cluster.ANSWER_TIMEOUT", 0.2)
+    monkeypatch.setattr("animtool.batch.cluster_client.ANSWER_TIMEOUT", 0.2)
     for argument in ("tcp://127.0.0.1:1", str(tmp_path / "none.json")):
         with pytest.raises(OutputError) as error:
             list(dask(work(tmp_path, argument)))
@@ -259,8 +262,8 @@ def test_something_else_answers(
 ) -> None:
     pytest.importorskip("distributed", reason="distributed is not installed (farm)")
     take_files(tmp_path / "takes", 1)
-    monkeypatch.setattr("animtool.batch.cluster.TIMEOUT", 0.5)
-    monkeypatch.setattr("animtool.batch.cluster_client.TIMEOUT", 0.5)
+    monkeypatch.setattr("animtool.batch.cluster.ANSWER_TIMEOUT", 0.5)
+    monkeypatch.setattr("animtool.batch.cluster_client.ANSWER_TIMEOUT", 0.5)
     with socket.create_server(("127.0.0.1", 0)) as mute:
         argument = f"tcp://127.0.0.1:{mute.getsockname()[1]}"
         with pytest.raises(OutputError) as error:

@@ -19,7 +19,7 @@ from animtool.batch.cluster_worker import (
     WorkerCheck,
     builder_versions,
     prepare_worker,
-    release,
+    stop_run,
     version_differences,
 )
 from animtool.batch.delivery import Delivery
@@ -89,7 +89,7 @@ def test_what_a_worker_lacks(tmp_path: Path) -> None:
             0
         ]
         assert ("run" in worker.plugins) is not bool(found)
-        release(worker, "run")
+        stop_run(worker, "run")
         assert not worker.plugins
         return found
 

@@ -52,14 +52,21 @@ def test_frames_are_those_of_the_shot(takes: Path) -> None:
     made = clip("sh010", "takes/take000.bvh", (86410, 12), (86400, 40))
     path = timeline(takes / "a.otio", made)
     (cut,) = read_cuts(path, options=CutOptions(handles=8)).shots
-    assert set(cut.names) == set(SHOT_NAMES)
-    assert (cut.names["first"], cut.names["last"]) == ("1009", "1020")
-    assert (cut.names["begin"], cut.names["end"]) == ("1001", "1028")
-    assert (cut.names["head"], cut.names["tail"], cut.names["handles"]) == ("8",) * 3
-    assert (cut.names["shot"], cut.names["fps"]) == ("sh010", "24")
-    assert (cut.names["track"], cut.names["clip"]) == ("V1", "sh010")
-    assert (cut.names["media_first"], cut.names["media_last"]) == ("11", "22")
-    assert cut.names["media_fps"] == "24"
+    assert set(cut.shot_values) == set(SHOT_NAMES)
+    assert (cut.shot_values["first"], cut.shot_values["last"]) == ("1009", "1020")
+    assert (cut.shot_values["begin"], cut.shot_values["end"]) == ("1001", "1028")
+    assert (
+        cut.shot_values["head"],
+        cut.shot_values["tail"],
+        cut.shot_values["handles"],
+    ) == ("8",) * 3
+    assert (cut.shot_values["shot"], cut.shot_values["fps"]) == ("sh010", "24")
+    assert (cut.shot_values["track"], cut.shot_values["clip"]) == ("V1", "sh010")
+    assert (cut.shot_values["media_first"], cut.shot_values["media_last"]) == (
+        "11",
+        "22",
+    )
+    assert cut.shot_values["media_fps"] == "24"
     assert cut.media.path == takes / "takes/take000.bvh"
     assert cut.shot is not None
     assert cut.shot.media_in == Fraction(10, 24)
@@ -68,8 +75,11 @@ def test_frames_are_those_of_the_shot(takes: Path) -> None:
 def test_media_without_a_range_of_its_own(takes: Path) -> None:
     made = clip("sh010", "takes/take000.bvh", (4, 10), None)
     (cut,) = read_cuts(timeline(takes / "a.otio", made)).shots
-    assert (cut.names["media_first"], cut.names["media_last"]) == ("5", "14")
-    assert (cut.names["first"], cut.names["last"]) == ("1001", "1010")
+    assert (cut.shot_values["media_first"], cut.shot_values["media_last"]) == (
+        "5",
+        "14",
+    )
+    assert (cut.shot_values["first"], cut.shot_values["last"]) == ("1001", "1010")
 
 
 def shots_of(path: Path, **options: Any) -> list[Shot]:
@@ -261,7 +271,7 @@ def test_names_are_legal_and_of_one_shot(takes: Path) -> None:
     names = ["sh 010/a", "SH_010_A", "", "a", "a"]
     made = [clip(name, url, (0, 4)) for name in names]
     found = read_cuts(timeline(takes / "a.otio", *made))
-    assert [shot.names["shot"] for shot in found.shots] == [
+    assert [shot.shot_values["shot"] for shot in found.shots] == [
         "sh_010_a",
         "SH_010_A_2",
         "take000",
@@ -357,7 +367,7 @@ def test_nested_clips_are_shots(takes: Path) -> None:
     stack = otio.schema.Stack("scene")
     stack.append(inner)
     found = read_cuts(timeline(takes / "a.otio", stack))
-    assert [shot.names["track"] for shot in found.shots] == ["V1/scene/inner"]
+    assert [shot.shot_values["track"] for shot in found.shots] == ["V1/scene/inner"]
 
 
 def test_missing_media_is_named_with_its_clips_at_once(takes: Path) -> None:
@@ -421,7 +431,10 @@ def test_an_edl(takes: Path) -> None:
     media = [MatchedFile(path, path.parent) for path in (takes / "takes").iterdir()]
     (shot,) = read_cuts(takes / "a.edl", media, CutOptions(fps=Fraction(24))).shots
     assert shot.media.path.stem == "take001"
-    assert (shot.names["media_first"], shot.names["media_last"]) == ("1", "8")
+    assert (shot.shot_values["media_first"], shot.shot_values["media_last"]) == (
+        "1",
+        "8",
+    )
 
 
 def test_a_scene_for_each_shot(takes: Path) -> None:

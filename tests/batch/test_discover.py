@@ -223,7 +223,7 @@ def test_records_stand_below_the_folder_of_all_outputs(
     takes: Path, output: str | None, root: str
 ) -> None:
     batch = find_batch(BatchSpec(("takes",), takes, output=output))
-    assert batch.records == takes / root / ".animtool"
+    assert batch.records_folder == takes / root / ".animtool"
 
 
 def test_every_file_of_an_output_is_known(takes: Path) -> None:
@@ -263,7 +263,7 @@ def test_files_among_the_options_count_as_seen_from_the_root(takes: Path) -> Non
         options = BakeOptions(rig_layer=folder / name)
         spec = BatchSpec(("takes/take000.bvh",), takes, options=options)
         batch = find_batch(spec)
-        return batch.item_task.description(batch.items[0], folder)["options"]
+        return batch.item_task.settings(batch.items[0], folder)["options"]
 
     one, other = takes / "one", takes / "two"
     assert described(one, "a.usda") == described(other, "a.usda")

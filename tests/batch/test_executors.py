@@ -67,8 +67,8 @@ def test_every_item_is_made_once(name: str, argument: str, tmp_path: Path) -> No
             f"take00{number - 1}.usdc"
         ]
         assert f"../takes/take00{number - 1}.bvh" in {f.path for f in outcome.inputs}
-        assert outcome.measured is not None
-        assert outcome.measured.samples == 4
+        assert outcome.measurements is not None
+        assert outcome.measurements.sample_count == 4
     # The bytes are those that any other makes.
     list(find_executor("serial").load()(work(tmp_path / "other", 5)))
     outputs = sorted((tmp_path / "out").iterdir())

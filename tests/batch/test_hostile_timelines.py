@@ -112,7 +112,7 @@ def test_an_archive_that_unpacks_to_more_than_fits(
         file.writestr("content.otio", data + b" " * 1_000_000)
         file.writestr("version.txt", "1.0.0")
     assert len(read_cuts(path).shots) == 1
-    monkeypatch.setattr(texts, "MAX_BYTES", 500_000)
+    monkeypatch.setattr(texts, "MAX_TIMELINE_BYTES", 500_000)
     assert code(path) == "BAT041"
 
 
@@ -180,7 +180,7 @@ def test_media_of_this_machine_by_its_address(takes: Path) -> None:
 
 
 def shots(cuts: CutList) -> list[str]:
-    return [cut.names["shot"] for cut in cuts.shots]
+    return [cut.shot_values["shot"] for cut in cuts.shots]
 
 
 def test_names_that_are_long_or_many(takes: Path) -> None:

@@ -52,10 +52,10 @@ def refusal(folder: Path, name: str, part: str = "") -> OutputError | None:
     """Return why a run may not begin; None where it does, and writes records."""
     try:
         with locked_ledger(folder, name, part) as ledger:
-            ledger.claim([f"{part}.usdc"])
+            ledger.add_names([f"{part}.usdc"])
     except OutputError as error:
         return error
-    assert f"{part}.usdc" in read_history(folder, name).manifest.known
+    assert f"{part}.usdc" in read_history(folder, name).manifest.known_names
     return None
 
 
@@ -131,17 +131,17 @@ def test_damage_is_told_once_and_the_rest_stays(tmp_path: Path) -> None:
     with locked_ledger(folder, "a") as run:
         for number in (1, 2):
             run.add(item(number))
-        run.failed("3.usdc", "why")
+        run.add_failure("3.usdc", "why")
     made, failed = folder / "batch-a.jsonl", folder / "batch-a.failed.jsonl"
     made.write_bytes(made.read_bytes().replace(b'"item":"2', b'"item":"3'))
     failed.write_bytes(failed.read_bytes().replace(b"why", b"who"))
     with locked_ledger(folder, "a") as run:
-        assert [notice.code for notice in run.history.damaged] == ["BAT070"] * 2
+        assert [notice.code for notice in run.history.damage_warnings] == ["BAT070"] * 2
         assert set(run.history.manifest.items) == {"1.usdc"}
-        assert run.history.failed == {}
+        assert run.history.failure_reasons == {}
         run.merge_records(lambda _: True)
     history = read_history(folder, "a")
-    assert (set(history.manifest.items), history.damaged) == ({"1.usdc"}, [])
+    assert (set(history.manifest.items), history.damage_warnings) == ({"1.usdc"}, [])
 
 
 def test_batches_of_other_names_run_props_each_other(tmp_path: Path) -> None:
@@ -155,19 +155,19 @@ def test_parts_come_together(tmp_path: Path) -> None:
     for number in (1, 2):
         (tmp_path / f"{number}.usdc").touch()
         with locked_ledger(folder, "a", f"{number}-{number}") as part:
-            part.claim([f"{number}.usdc"])
+            part.add_names([f"{number}.usdc"])
             part.add(item(number))
-            part.failed("9.usdc", "why")
+            part.add_failure("9.usdc", "why")
             part.merge_records(lambda _: True)
     history = read_history(folder, "a")
     assert set(history.manifest.items) == {"1.usdc", "2.usdc"}
-    assert history.failed == {"9.usdc": "why"}
+    assert history.failure_reasons == {"9.usdc": "why"}
     with locked_ledger(folder, "a") as whole:
         whole.merge_records(lambda made: made.key == "1.usdc")
     history = read_history(folder, "a")
     assert set(history.manifest.items) == {"1.usdc"}
     # It is there, and a run of the batch made it.
-    assert "2.usdc" in history.manifest.known
+    assert "2.usdc" in history.manifest.known_names
     assert not list((folder / "batch-a.d").glob("*.jsonl"))
 
 
@@ -175,31 +175,31 @@ def test_why_an_item_failed_is_what_its_latest_part_says(tmp_path: Path) -> None
     folder = tmp_path / ".animtool"
     for part in ("", "1-1", "1-2"):
         with locked_ledger(folder, "a", part) as run:
-            run.failed("1.usdc", f"part {part}")
+            run.add_failure("1.usdc", f"part {part}")
             run.merge_records(lambda _: True)
-    assert read_history(folder, "a").failed == {"1.usdc": "part 1-2"}
+    assert read_history(folder, "a").failure_reasons == {"1.usdc": "part 1-2"}
 
 
 def test_what_is_made_has_not_failed(tmp_path: Path) -> None:
     folder = tmp_path / ".animtool"
     with locked_ledger(folder, "a") as run:
-        run.failed("1.usdc", "why")
+        run.add_failure("1.usdc", "why")
         run.merge_records(lambda _: True)
-    assert read_history(folder, "a").failed == {"1.usdc": "why"}
+    assert read_history(folder, "a").failure_reasons == {"1.usdc": "why"}
     with locked_ledger(folder, "a") as run:
         run.add(item(1))
         run.merge_records(lambda _: True)
-    assert read_history(folder, "a").failed == {}
+    assert read_history(folder, "a").failure_reasons == {}
     assert not list(folder.glob("*.failed.jsonl"))
 
 
 def test_a_run_that_is_not_settled_is_not_lost(tmp_path: Path) -> None:
     with locked_ledger(tmp_path, "a") as run:
-        run.claim(["1.usdc"])
-        run.failed("2.usdc", "why")
+        run.add_names(["1.usdc"])
+        run.add_failure("2.usdc", "why")
     history = read_history(tmp_path, "a")
-    assert "1.usdc" in history.manifest.known
-    assert history.failed == {"2.usdc": "why"}
+    assert "1.usdc" in history.manifest.known_names
+    assert history.failure_reasons == {"2.usdc": "why"}
 
 
 def test_what_did_not_change_is_not_written_again(tmp_path: Path) -> None:

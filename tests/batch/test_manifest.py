@@ -36,14 +36,14 @@ def item(number: int, at: int = 1) -> ItemRecord:
 def test_items_come_back(tmp_path: Path) -> None:
     path = tmp_path / "a.jsonl"
     with ManifestWriter(path, Manifest()) as writer:
-        writer.claim(["1.usdc", "2.usdc"])
+        writer.add_names(["1.usdc", "2.usdc"])
         writer.add(item(1))
     first = read_manifest(path)
     with ManifestWriter(path, first) as writer:
         writer.add(item(2))
     found = read_manifest(path)
     assert found.items == {"1.usdc": item(1), "2.usdc": item(2)}
-    assert found.known == {"1.usdc", "2.usdc"}
+    assert found.known_names == {"1.usdc", "2.usdc"}
     # What both were made of stands there once.
     assert path.read_text().count("rig.yaml") == 1
 
@@ -61,7 +61,7 @@ def test_writing_again_keeps_what_was_begun(tmp_path: Path) -> None:
     path = tmp_path / "a.jsonl"
     rewrite_manifest(path, [item(1)], ["begun.usdc"])
     found = read_manifest(path)
-    assert found.known == {"1.usdc", "begun.usdc"}
+    assert found.known_names == {"1.usdc", "begun.usdc"}
     assert list(found.items) == ["1.usdc"]
 
 
@@ -118,8 +118,10 @@ def test_lines_that_are_damaged_are_left_out(
     if not old:
         (own,) = found.items["a"].scores
         assert plain_value(own) == json.loads(line)["scores"][0]
-    assert [notice.code for notice in found.damaged] == (["BAT070"] if old else [])
-    assert not found.known - {"o"}
+    assert [notice.code for notice in found.damage_warnings] == (
+        ["BAT070"] if old else []
+    )
+    assert not found.known_names - {"o"}
 
 
 def test_a_number_of_two_files_is_of_none(tmp_path: Path) -> None:
@@ -130,8 +132,8 @@ def test_a_number_of_two_files_is_of_none(tmp_path: Path) -> None:
     found = read_manifest(path)
     # Before the second, the number meant the first.
     assert list(found.items) == ["a"]
-    assert found.damaged[0].lines == (4, 5)
-    assert (found.files, found.next_number) == ({}, 1)
+    assert found.damage_warnings[0].lines == (4, 5)
+    assert (found.file_numbers, found.next_number) == ({}, 1)
 
 
 def test_a_damaged_item_may_be_made_again(tmp_path: Path) -> None:
@@ -140,8 +142,8 @@ def test_a_damaged_item_may_be_made_again(tmp_path: Path) -> None:
     lines = path.read_bytes().splitlines(keepends=True)
     path.write_bytes(b"".join(lines[:-1]) + lines[-1].replace(b"how", b"hov"))
     found = read_manifest(path)
-    assert (found.items, found.known) == ({}, {"1.usdc"})
-    assert len(found.damaged) == 1
+    assert (found.items, found.known_names) == ({}, {"1.usdc"})
+    assert len(found.damage_warnings) == 1
 
 
 def test_a_name_that_leads_above_everything() -> None:

@@ -8,7 +8,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
 
-from animtool.batch.item import PathRule, map_path, map_spec, read_rules
+from animtool.batch.item import PathRule, map_batch_paths, map_path, read_path_rules
 from animtool.batch.spec import BatchSpec
 from animtool.core.errors import FormatError
 
@@ -40,32 +40,32 @@ def test_the_innermost_folder_decides(text: str, mapped: str) -> None:
 
 def test_inputs_and_outputs_are_mapped() -> None:
     spec = BatchSpec(("/show/a", "b"), exclude=("/show/c",), output="/show/{stem}.usdc")
-    found = map_spec(spec, [OUTER])
+    found = map_batch_paths(spec, [OUTER])
     assert found.inputs == ("/mnt/show/a", "b")
     assert found.exclude == ("/mnt/show/c",)
     assert found.output == "/mnt/show/{stem}.usdc"
-    assert map_spec(spec, []) is spec
+    assert map_batch_paths(spec, []) is spec
 
 
 def test_an_output_that_is_not_mapped_stays_in_the_folders_of_its_batch() -> None:
     own = (Path("/show"),)
     spec = BatchSpec(("a",), output="out/{stem}.usdc", roots=own)
-    assert map_spec(spec, [OUTER]).roots == own
+    assert map_batch_paths(spec, [OUTER]).roots == own
     there = replace(spec, output="/show/{stem}.usdc")
-    assert map_spec(there, [OUTER]).roots == ()
+    assert map_batch_paths(there, [OUTER]).roots == ()
 
 
 def test_rules_of_a_file(tmp_path: Path) -> None:
     path = tmp_path / "rules.json"
     path.write_text("{}")
-    assert read_rules(path) == []
+    assert read_path_rules(path) == []
     rule = {
         "source_path_format": "WINDOWS",
         "source_path": "Z:\\show",
         "destination_path": "/mnt/show",
     }
     path.write_text(json.dumps({"path_mapping_rules": [rule]}))
-    assert read_rules(path) == [DRIVE]
+    assert read_path_rules(path) == [DRIVE]
 
 
 @pytest.mark.parametrize(
@@ -84,5 +84,5 @@ def test_what_is_no_file_of_rules(tmp_path: Path, text: str | None) -> None:
     if text is not None:
         path.write_text(text)
     with pytest.raises(FormatError) as error:
-        read_rules(path)
+        read_path_rules(path)
     assert error.value.code == "BAT038"

@@ -43,7 +43,11 @@ def test_what_stands_out(report: BatchReport) -> None:
     times = [entry.seconds for entry in report.slowest_items]
     assert len(times) == 2
     assert times == sorted(times, reverse=True)
-    errors = [entry.measured.error for entry in report.largest_errors if entry.measured]
+    errors = [
+        entry.measurements.error
+        for entry in report.largest_errors
+        if entry.measurements
+    ]
     assert errors == sorted(errors, reverse=True)
 
 

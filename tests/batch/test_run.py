@@ -14,7 +14,7 @@ import animtool
 from animtool.batch.executors import EXECUTORS, Executor, Work
 from animtool.batch.item import Item
 from animtool.batch.report import BatchReport, ItemReport
-from animtool.batch.run import Listener, RunOptions, run_batch
+from animtool.batch.run import RunListener, RunOptions, run_batch
 from animtool.batch.spec import BatchSpec
 from animtool.batch.work import ItemOutcome, ItemStatus
 from animtool.core.errors import ExitCode, OptionError
@@ -107,7 +107,7 @@ def test_files_of_others_are_not_replaced(spec: BatchSpec, tmp_path: Path) -> No
 def test_an_output_that_a_killed_run_left_is_replaced(
     spec: BatchSpec, tmp_path: Path
 ) -> None:
-    class Killed(Listener):
+    class Killed(RunListener):
         def on_end(self, report: ItemReport) -> None:
             raise KeyboardInterrupt(report.status)
 
@@ -125,7 +125,7 @@ def test_an_output_that_a_killed_run_left_is_replaced(
 def test_a_file_that_came_since_the_plan_is_not_replaced(
     spec: BatchSpec, tmp_path: Path
 ) -> None:
-    class Other(Listener):
+    class Other(RunListener):
         def on_plan(self, due: int, total: int) -> None:
             del due, total
             (tmp_path / "out").mkdir(exist_ok=True)
@@ -153,7 +153,7 @@ def test_an_executor_that_is_careless(
     monkeypatch.setitem(EXECUTORS, "careless", executor)
     ended = []
 
-    class Told(Listener):
+    class Told(RunListener):
         def on_end(self, report: ItemReport) -> None:
             ended.append(report.item.number)
 
@@ -201,7 +201,7 @@ def test_damaged_records_are_told(spec: BatchSpec, tmp_path: Path) -> None:
 def test_whoever_listens_is_told(spec: BatchSpec) -> None:
     told: list[object] = []
 
-    class Listening(Listener):
+    class Listening(RunListener):
         def on_plan(self, due: int, total: int) -> None:
             told.append((due, total))
 
@@ -268,7 +268,7 @@ def test_scenes_of_several_outputs(several: BatchSpec, tmp_path: Path) -> None:
         ".yaml",
         ".yaml",
     ]
-    assert report.items[0].measured is not None
+    assert report.items[0].measurements is not None
     assert statuses(run_batch(several, SERIAL)) == ["skipped"] * 2
 
 

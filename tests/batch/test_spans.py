@@ -30,7 +30,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def shots(path: Path) -> dict[str, Shot]:
-    return {cut.names["shot"]: shot for cut, shot in _each(read_cuts(path))}
+    return {cut.shot_values["shot"]: shot for cut, shot in _each(read_cuts(path))}
 
 
 def _each(cuts: CutList) -> Iterator[tuple[Any, Shot]]:
@@ -181,7 +181,7 @@ def test_stacks_that_do_not_go_forward_are_left_out(folder: Path, speed: float) 
     inner = otio.schema.Stack("s", [clip("a", "take.bvh", (10, 24))])
     made = warp(inner, speed), clip("b", "take.bvh", (0, 4))
     found = read_cuts(timeline(folder / "a.otio", *made, rate=24))
-    assert [cut.names["shot"] for cut in found.shots] == ["b"]
+    assert [cut.shot_values["shot"] for cut in found.shots] == ["b"]
     left = [notice for notice in found.notices if notice.code == "BAT044"]
     assert [notice.severity.value for notice in left] == ["warning"]
 
@@ -245,7 +245,7 @@ def test_what_is_disabled_or_trimmed_away_is_named(folder: Path) -> None:
     made.tracks[0].source_range = span(30, 24)
     otio.adapters.write_to_file(made, str(path))
     found = read_cuts(path, (), CutOptions())
-    assert [cut.names["shot"] for cut in found.shots] == ["kept"]
+    assert [cut.shot_values["shot"] for cut in found.shots] == ["kept"]
     assert [cut.shot.media_in for cut in found.shots if cut.shot] == [0]
     assert {notice.code for notice in found.notices} == {"BAT043"}
     assert [n.message.split("'")[1] for n in found.notices] == ["gone", "off"]

@@ -66,14 +66,14 @@ def test_files_of_all_items_are_read_once(
     settings.write_text("start = 3\n")
     os.utime(settings, ns=(10**18, 10**18))
     read: list[str] = []
-    record = work.record_of
+    record = work.record_file
 
     def counted(path: Path, *given: object) -> object:
         if given[1] is not None:
             read.append(path.name)
         return record(path, *given)  # type: ignore[arg-type]
 
-    monkeypatch.setattr(work, "record_of", counted)
+    monkeypatch.setattr(work, "record_file", counted)
     outcomes = made(tmp_path, 2)
     assert read.count("animtool.toml") == 1
     names = [{file.path for file in outcome.inputs} for outcome in outcomes]

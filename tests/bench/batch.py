@@ -23,7 +23,7 @@ from measuring import HERE, ROOT, Run, begin, parser, run
 
 from animtool.batch.discover import find_batch
 from animtool.batch.ledger import locked_ledger
-from animtool.batch.manifest import ItemRecord, record_of
+from animtool.batch.manifest import ItemRecord, record_file
 from animtool.batch.plan import Planner
 from animtool.batch.spec import BatchSpec, relative_name
 from animtool.core.files.reading import FileState
@@ -106,15 +106,15 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
     out = str(folder / "out/{stem}.usdc")
     found = find_batch(BatchSpec((str(folder / "takes"),), output=out))
     (folder / "out").mkdir()
-    with locked_ledger(found.records, found.name) as ledger:
+    with locked_ledger(found.records_folder, found.name) as ledger:
         planner = Planner(found, ledger.history)
         for item in found.items:
             item.output.write_bytes(b"made")
             records = [
-                record_of(path, relative_name(path, found.root), FileState.of(path))
+                record_file(path, relative_name(path, found.root), FileState.of(path))
                 for path in (item.file.path, item.output)
             ]
-            key = planner.key(item)
+            key = planner.record_key(item)
             ledger.add(
                 ItemRecord(
                     key,
@@ -126,7 +126,7 @@ def planned(folder: Path, count: int, runs: int) -> list[Row]:
                 )
             )
         ledger.merge_records(lambda _: True)
-    size = (found.records / "batch-batch.jsonl").stat().st_size
+    size = (found.records_folder / "batch-batch.jsonl").stat().st_size
     done = [batch(folder, "-n") for _ in range(runs)]
     assert all(one.report["skipped"] == count for one in done)
     section, tool = "plan", f"{count} items"

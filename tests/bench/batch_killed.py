@@ -115,7 +115,7 @@ class Folder:
     def recorded(self) -> set[str]:
         """Return the items that are recorded as made."""
         found = read_manifest(self.out / ".animtool/batch-batch.jsonl")
-        assert not found.damaged
+        assert not found.damage_warnings
         return set(found.items)
 
     def size(self) -> int:

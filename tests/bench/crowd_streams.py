@@ -85,7 +85,7 @@ def simulated(
         path.write_text(json.dumps(made), "utf-8")
         run = SystemRun(load_scene(path).systems, seconds)
         codes = [Fraction(k, FPS) for k in range(round(seconds * FPS) + 1)]
-        rows = [row for _, (row,) in run.rows(codes, Fraction(), Fraction(1))]
+        rows = [row for _, (row,) in run.coded_frames(codes, Fraction(), Fraction(1))]
     return np.stack([row.points[:, [0, 2]] for row in rows])
 
 

@@ -12,7 +12,7 @@ from support.cli import animtool
 
 from animtool.core.errors import OptionError
 from animtool.scene.file.read import load_scene
-from animtool.scene.tables.simulation import simulates
+from animtool.scene.tables.simulation import has_simulation
 from animtool.scene.tables.tradeoffs import simulation_tradeoffs
 from animtool.sim.integrators.table import INTEGRATORS
 
@@ -356,8 +356,8 @@ def test_a_sensitive_motion_is_called_so(comets: Path) -> None:
 
 def test_a_scene_without_simulation_has_another_table(swing: Path) -> None:
     scene = load_scene(swing)
-    assert simulates(scene)
-    assert not simulates(scene.until("0"))
+    assert has_simulation(scene)
+    assert not has_simulation(scene.until("0"))
     done = animtool("bake", swing, "--until", "0", "--table", "--format", "json")
     kinds = [table["kind"] for table in json.loads(done.stdout)["tables"]]
     assert kinds == ["samples in USD", "keys of a clip"]

@@ -75,7 +75,7 @@ def test_characters_have_lines_of_their_own() -> None:
         written=written,
         milliseconds_per_frame=10.0,
         kind="crowds",
-        simulated=True,
+        is_simulated=True,
         of="square.scene.yaml",
     )
     (group,) = mesh_groups([mesh])

@@ -249,7 +249,7 @@ def test_batches_load(project: Path, text: str) -> None:
     )
     found = find_batch(load_batch(project / "one.batch.yaml"))
     ends = [""]
-    if found.items[0].values:
+    if found.items[0].variant_values:
         ends = [f"_{first}_{last}" for first in (1, 5) for last in (20, 30)]
     wanted = {f"{stem}{end}.usdc" for stem in ("walk", "stride") for end in ends}
     assert {item.output.name for item in found.items} == wanted

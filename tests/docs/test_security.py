@@ -25,7 +25,7 @@ def page(root: Path) -> str:
 
 def test_its_limits_are_those_of_the_code(page: str) -> None:
     assert f"{MAX_TEXT_BYTES // 10**6} MB | DOC006, IO010" in page
-    assert f"{yaml_values.MAX_MARKS // 10**6} million separators" in page
+    assert f"{yaml_values.MAX_SEPARATORS // 10**6} million separators" in page
     assert (
         f"{yaml_values.MAX_KEY_LENGTH:,} and {variables.MAX_TEXT_LENGTH:,} letters"
         in page

@@ -15,7 +15,7 @@ from animtool.documents import archive as archives_module
 from animtool.documents.arrays import (
     MAX_OPEN_ARCHIVES,
     Archives,
-    StoredArray,
+    ArrayHeader,
     load_array,
 )
 from animtool.documents.references import resolve_path
@@ -40,7 +40,7 @@ def header(shape: str, descr: str = "<f8") -> str:
     return f"{{'descr': '{descr}', 'fortran_order': False, 'shape': {shape}, }}"
 
 
-def array_header(path: Path, key: str) -> StoredArray:
+def array_header(path: Path, key: str) -> ArrayHeader:
     with Archives() as archives:
         return archives.header(path, key)
 
@@ -273,7 +273,7 @@ def bomb(folder: Path, count: int) -> Path:
 def test_zeros_that_expand_a_thousandfold_are_not_expanded(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(archives_module, "SMALL_BYTES", 1_000_000)
+    monkeypatch.setattr(archives_module, "SMALL_ARRAY_BYTES", 1_000_000)
     monkeypatch.setattr(archives_module, "DEFAULT_ARRAY_LIMIT", 3_000_000)
     path = bomb(tmp_path, 250_000)
     assert array_header(path, "x").shape == (250_000,)

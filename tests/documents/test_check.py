@@ -11,8 +11,8 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.options import key
 from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
-from animtool.documents.forms import EntryExamples
-from animtool.documents.model_faults import MAX_REPLACED
+from animtool.documents.model_faults import MAX_REPLACED_VALUES
+from animtool.documents.value_hints import EntryExamples
 
 
 class Round(FileModel):
@@ -207,16 +207,16 @@ def test_no_fault_is_noted_of_a_stand_in(tmp_path: Path) -> None:
 def test_entries_without_a_name_that_is_known(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x\nitems:\n- {type: square, side: x}\nnamed: 7")
     validate_document(read, Box)
-    assert not read.has_unnamed("items")
-    assert read.has_unnamed("items", "name", "side")
-    assert read.has_unnamed("named")
-    assert not read.has_unnamed("rig")
+    assert not read.has_unknown_name("items")
+    assert read.has_unknown_name("items", "name", "side")
+    assert read.has_unknown_name("named")
+    assert not read.has_unknown_name("rig")
 
 
 def test_what_does_not_ascend(tmp_path: Path) -> None:
     read = document(tmp_path, "rig: x")
     read.placeholders.add(("items", 1, "at"))
-    found = list(read.not_ascending(("items",), [3, 9, 2, 4, 4], "at"))
+    found = list(read.unordered_entries(("items",), [3, 9, 2, 4, 4], "at"))
     assert found == [(2, 0), (4, 3)]
 
 
@@ -227,11 +227,11 @@ def test_faults_are_mended_up_to_a_bound(tmp_path: Path) -> None:
         rows = "".join("- {type: square, side: x}\n" for _ in range(count))
         return document(tmp_path, f"rig: x\nitems:\n{rows}")
 
-    most = read(MAX_REPLACED // 2)
-    assert len(validate_document(most, Box).items) == MAX_REPLACED // 2
-    assert len(most.faults) == MAX_REPLACED // 2
+    most = read(MAX_REPLACED_VALUES // 2)
+    assert len(validate_document(most, Box).items) == MAX_REPLACED_VALUES // 2
+    assert len(most.faults) == MAX_REPLACED_VALUES // 2
     with pytest.raises(FormatError):
-        validate_document(read(MAX_REPLACED // 2 + 1), Box)
+        validate_document(read(MAX_REPLACED_VALUES // 2 + 1), Box)
 
 
 @pytest.mark.parametrize(

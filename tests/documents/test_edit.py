@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.documents.edit import (
     Add,
     Edit,
@@ -143,7 +143,7 @@ def test_any_text_is_read_as_it_was_put(new: str, quote: str) -> None:
     written = f"{quote}x{quote}"
     text = f"a: [1, {written}] # why\nb: {{x: {written}}}\n"
     after = apply_edits(text, YAML, [Replace(("a", 1), new), Rename(("b", "x"), new)])
-    value = document_of(after, YAML).value
+    value = parse_document(after, YAML).value
     assert value["a"] == [1, new]
     assert list(value["b"]) == [new]
     assert " # why\n" in after

@@ -186,7 +186,7 @@ def test_scene_1_with_props_props(tmp_path: Path) -> None:
     scene = load_scene(folder / "scene-1-beside.scene.yaml")
     prop, still = scene.props
     assert (prop.prim, prop.path, prop.frame) == ("/World/prop", "Props/prop", 2)
-    assert (prop.retimed, still.retimed) == (True, False)
+    assert (prop.is_retimed, still.is_retimed) == (True, False)
     assert still.attributes == ("visibility",)
     assert (prop.reference, still.reference) == (prop.file, None)
     assert [output.bake.take for output in scene.outputs] == [None, "slow"]

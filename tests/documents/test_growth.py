@@ -13,7 +13,7 @@ from animtool.core.errors import AnimtoolError
 from animtool.core.names import most_similar, numbered_names
 from animtool.core.source_lines import crop_line
 from animtool.documents.document import read_document
-from animtool.documents.yaml_values import MAX_MARKS
+from animtool.documents.yaml_values import MAX_SEPARATORS
 from animtool.formats.bvh.read import read_bvh
 from animtool.ik.file import load_targets
 from animtool.rig.file import load_rig
@@ -92,7 +92,7 @@ CASES: dict[str, tuple[str, str, str]] = {
         RIG + f"- {{name: {'n' * 100_000}, type: fixed}}\n",
         "DOC022",
     ),
-    "values": ("a.rig.yaml", "x: [" + "1," * (MAX_MARKS + 1) + "]", "DOC024"),
+    "values": ("a.rig.yaml", "x: [" + "1," * (MAX_SEPARATORS + 1) + "]", "DOC024"),
     "lines": ("a.bvh", "\n" * 1_000_001, "BVH013"),
 }
 LOADERS: dict[str, Callable[[Path], object]] = {
@@ -127,7 +127,7 @@ def test_real_sizes_are_read(tmp_path: Path) -> None:
     path.write_text(f"clip: animtool/1\nkeys:\n{keys}")
     assert len(read_document(path).value["keys"]) == 10_000
     marks = sum(map(keys.count, ("\n", ",", ":", "[", "{", "- ", "? ")))
-    assert 10 * marks < MAX_MARKS
+    assert 10 * marks < MAX_SEPARATORS
 
 
 def test_the_nearest_of_many_names() -> None:

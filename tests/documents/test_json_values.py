@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 from support.suite import examples
 
 from animtool.core.errors import FormatError
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.documents.json_values import plain_json
-from animtool.documents.yaml_values import MAX_DEPTH, MAX_KEY_LENGTH, _read_yaml
+from animtool.documents.yaml_values import MAX_KEY_LENGTH, MAX_NESTING, _read_yaml
 
 PATH = Path("some.clip.json")
 _LEAVES = (
@@ -35,7 +35,7 @@ _VALUES = st.recursive(
 
 
 def quick(text: str) -> Any:
-    return plain_json(text, MAX_DEPTH, MAX_KEY_LENGTH)
+    return plain_json(text, MAX_NESTING, MAX_KEY_LENGTH)
 
 
 def same(a: Any, b: Any) -> bool:
@@ -68,7 +68,7 @@ def test_values_are_those_of_yaml(value: dict[str, Any], ascii_only: bool) -> No
         '{"a": "\u2028"}',
         '{"a": ' + "9" * 401 + "}",
         '{"' + "k" * (MAX_KEY_LENGTH + 1) + '": 1}',
-        '{"a": ' + "[" * MAX_DEPTH + "]" * MAX_DEPTH + "}",
+        '{"a": ' + "[" * MAX_NESTING + "]" * MAX_NESTING + "}",
         "[1, 2]",
         "3",
         "",
@@ -89,7 +89,7 @@ def test_letters_and_numbers_of_json_are_read_at_once(text: str) -> None:
 
 def test_places_are_those_of_the_text() -> None:
     text = '{\n  "a": [1,\n    {"b": 2.50}],\n  "c": "x"\n}'
-    document = document_of(text, PATH)
+    document = parse_document(text, PATH)
     assert document.position(("a", 1, "b")) == (3, 11)
     assert document.position(("c",)) == (4, 8)
     assert document.source_text(("a", 1, "b")) == "2.50"
@@ -98,5 +98,5 @@ def test_places_are_those_of_the_text() -> None:
 
 def test_faults_have_their_lines() -> None:
     with pytest.raises(FormatError) as caught:
-        document_of('{"a": 1,\n "a": 2}', PATH)
+        parse_document('{"a": 1,\n "a": 2}', PATH)
     assert [(f.code, f.lines) for f in caught.value.faults] == [("DOC004", (2,))]

@@ -14,7 +14,11 @@ from animtool.documents.document import read_document
 from animtool.documents.edit import EditError
 from animtool.documents.migrate import migrate, plan_migration
 from animtool.documents.versions import MIGRATION_STEPS as TABLES
-from animtool.documents.versions import MigrationSteps, newest_version_of, version_of
+from animtool.documents.versions import (
+    MigrationSteps,
+    kind_and_version,
+    newest_version_of,
+)
 from animtool.scene.file.read import load_scene
 
 
@@ -56,14 +60,14 @@ def test_a_chain_of_steps(tmp_path: Path) -> None:
     assert (plan.kind, plan.version, plan.newest, plan.needed) == ("rig", 1, 3, True)
     assert path.read_text() == OLD
     migrate([path], overwrite=True, table=TABLE)
-    assert path.read_text() == plan.after
+    assert path.read_text() == plan.new_text
     assert read_document(path).value == {
         "rig": "animtool/3",
         "name": "1e3",
         "joints": [{"name": "no", "translate": [0, 1.5, -2e-5]}],
         "units": {"length": "m"},
     }
-    assert plan.after.startswith("rig: animtool/3\n")
+    assert plan.new_text.startswith("rig: animtool/3\n")
 
 
 def test_a_chain_that_begins_later(tmp_path: Path) -> None:
@@ -156,13 +160,13 @@ def test_a_file_that_cannot_be_read_keeps_all_as_they_are(tmp_path: Path) -> Non
 )
 def test_versions_that_are_not_known(tmp_path: Path, text: str, code: str) -> None:
     with pytest.raises(AnimtoolError) as caught:
-        version_of(read_document(written(tmp_path, text)), TABLE)
+        kind_and_version(read_document(written(tmp_path, text)), TABLE)
     assert caught.value.code == code
 
 
 def test_a_kind_is_told_from_the_rig_that_it_names(tmp_path: Path) -> None:
     path = written(tmp_path, "rig: a.rig.yaml\nclip: animtool/2\n")
-    assert version_of(read_document(path), TABLE) == ("clip", 2)
+    assert kind_and_version(read_document(path), TABLE) == ("clip", 2)
 
 
 def test_reading_an_older_version_names_the_command(
@@ -207,7 +211,7 @@ def test_keys_of_new_names_are_renamed_and_nothing_else(tmp_path: Path) -> None:
         '+- particles: {emitters: [{rate: 5, most: 3}], "max_particles": 7}',
     ]
     migrate([path], overwrite=True)
-    assert path.read_text() == plan.after
+    assert path.read_text() == plan.new_text
     assert not plan_migration(path).needed
 
 
@@ -246,7 +250,7 @@ def test_both_names_of_a_key_are_an_error(tmp_path: Path) -> None:
         load_scene(path)
     unknown = [f.where for f in caught.value.faults if f.code == "DOC020"]
     assert unknown == ["beside", "systems[0].particles.emitters[0].most"]
-    assert "beside:" in plan_migration(path).after
+    assert "beside:" in plan_migration(path).new_text
 
 
 def test_options_of_passes_have_new_names_too(tmp_path: Path) -> None:
@@ -261,4 +265,4 @@ output: {file: o.usdc}
 """
     plan = plan_migration(written(tmp_path, text, "a.scene.yaml"))
     new = text.replace("damping: 2, shear: 3", "ratio: 2, diagonals: 3")
-    assert plan.after == new.replace("colliders: false", "capsules: false")
+    assert plan.new_text == new.replace("colliders: false", "capsules: false")

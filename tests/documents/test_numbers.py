@@ -16,7 +16,7 @@ from animtool.core.names import (
     unreadable_character,
     yaml_scalar,
 )
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 
 FLOATS = st.floats(-1e9, 1e9, allow_nan=False)
 
@@ -41,7 +41,7 @@ def test_what_a_person_wrote_comes_back(tenths: int, unit: float) -> None:
 def test_text_reads_back_as_text_or_is_not_written(value: str) -> None:
     line = f"a: {{b: {yaml_scalar(value)}}}" if not unreadable_character(value) else ""
     if line:
-        assert document_of(line, Path("a.yaml")).value == {"a": {"b": value}}
+        assert parse_document(line, Path("a.yaml")).value == {"a": {"b": value}}
     else:
         with raises(FormatError, "DOC023"):
             yaml_scalar(value)

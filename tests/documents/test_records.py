@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 
 from animtool.core.options import above, key, or_more, range_faults
 from animtool.documents.check import FileModel
-from animtool.documents.fields import record_of, with_fields
+from animtool.documents.fields import record_from_model, with_fields
 
 
 @dataclass(frozen=True)
@@ -103,8 +103,8 @@ def test_all_that_have_keys_are_those_of_the_model_and_are_read() -> None:
     model = SwingModel.model_validate({"angle": 180})
     assert model.model_dump()["end"] is None
     pushes = [[1.0, 2.0]]
-    assert record_of(Swing, model) == Swing(angle=math.pi, pushes=pushes)  # type: ignore[arg-type]
-    given = record_of(Swing, SwingModel.model_validate({"end": 3}), length=2.0)
+    assert record_from_model(Swing, model) == Swing(angle=math.pi, pushes=pushes)  # type: ignore[arg-type]
+    given = record_from_model(Swing, SwingModel.model_validate({"end": 3}), length=2.0)
     assert (given.end, given.length) == (3, 2.0)
 
 

@@ -8,7 +8,7 @@ import pytest
 from animtool.cli.main import run
 from animtool.core.config import project_roots
 from animtool.core.files.reading import recorded_inputs
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.documents.references import resolve_input, resolve_path, resolve_reference
 
 
@@ -26,7 +26,7 @@ def test_references_stay_in_the_roots(tmp_path: Path) -> None:
 def refused(path: Path, name: str) -> str:
     """Return the hint about a reference that leads out of the project."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    document = document_of(f"clip: animtool/1\nrig: {name}\n", path)
+    document = parse_document(f"clip: animtool/1\nrig: {name}\n", path)
     roots = project_roots(path)
     assert resolve_reference(document, ("rig",), name, roots) is None
     (fault,) = document.faults
@@ -43,7 +43,7 @@ def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
     settings = tmp_path / "show/animtool.toml"
     assert str(settings.parent) in hint
     assert settings.name in hint
-    document = document_of("clip: animtool/1\n", clip)
+    document = parse_document("clip: animtool/1\n", clip)
     name = "../rigs/hero.rig.yaml"
     # It does what the hint says, and so does the line for settings that exist.
     settings.touch()
@@ -65,7 +65,7 @@ def test_the_line_that_allows_a_folder_is_given(tmp_path: Path) -> None:
 def test_a_file_of_a_nearly_right_name_is_named(tmp_path: Path) -> None:
     (tmp_path / "rigs").mkdir()
     (tmp_path / "rigs/hero.rig.yaml").touch()
-    document = document_of("clip: animtool/1\nrig: x\n", tmp_path / "a.clip.yaml")
+    document = parse_document("clip: animtool/1\nrig: x\n", tmp_path / "a.clip.yaml")
     for name in ("rigs/heros.rig.yaml", "rig/hero.rig.yaml", "other.yaml"):
         assert resolve_input(document, ("rig",), name, [tmp_path]) is None
     hints = [fault.hint for fault in document.faults]

@@ -14,7 +14,7 @@ from support.faults import raises
 
 from animtool.core.errors import FormatError
 from animtool.documents.check import FileModel, validate_document
-from animtool.documents.document import Document, document_of
+from animtool.documents.document import Document, parse_document
 from animtool.documents.variables import (
     resolve_variables,
     with_variables,
@@ -32,7 +32,7 @@ class Model(FileModel):
 
 
 def resolved(text: str, **given: str) -> Document:
-    document = document_of(HEAD + text, Path("a.scene.yaml"))
+    document = parse_document(HEAD + text, Path("a.scene.yaml"))
     resolve_variables(document, Model, given)
     return document
 
@@ -145,7 +145,7 @@ def test_variables_between_brackets_need_no_quotes() -> None:
 
 
 def test_a_quoted_variable_is_a_number_where_no_text_may_be() -> None:
-    document = document_of(
+    document = parse_document(
         '{"scene": "animtool/1", "number": "${n}", "text": "${n}", "several": ["${n}"]'
         "}",
         Path("a.scene.json"),
@@ -168,9 +168,9 @@ def test_a_number_of_too_many_digits() -> None:
 
 def test_what_no_text_uses_is_known() -> None:
     text = 'variables: {a: 1, b: "${a}", c: 2}\ntext: ${d}\n'
-    document = document_of(HEAD + text, Path("a.scene.yaml"))
+    document = parse_document(HEAD + text, Path("a.scene.yaml"))
     found = resolve_variables(document, Model, {"d": "x", "e": "y"})
-    assert (found.names, found.unused) == (set("abcd"), {"b", "c"})
+    assert (found.names, found.unused_names) == (set("abcd"), {"b", "c"})
 
 
 @given(st.text(st.sampled_from("${}ab\\ '")))

@@ -95,7 +95,7 @@ def test_few_files_are_open_at_a_time(
         closing(self, number)
 
     monkeypatch.setattr(chunks.ChunkedWriter, "_close", close)
-    monkeypatch.setattr("animtool.scene.bake.deformed_character.PIECE_FRAMES", 3)
+    monkeypatch.setattr("animtool.scene.bake.deformed_character.CHUNK_FRAMES", 3)
     bake(tmp_path, "many.usdc", "--chunk", 3)
     assert most == 2
 

@@ -234,6 +234,6 @@ def test_samples_between_frames_are_counted(baked: Baked) -> None:
     clock = Clock(Fraction(120), Fraction(1), Fraction(1), 13)
     report = baked(clock, BakeOptions(fps=Fraction(24)))
     # Of 13 samples 0, 5 and 10 are on frames; 11 and 12 come after the last.
-    assert report.takes[0].between == 8
+    assert report.takes[0].between_frames == 8
     assert "8 of which fall between frames" in _text(report)
     assert plain_value(report)["between_frames"] == 8

@@ -15,7 +15,7 @@ from support.suite import examples
 from support.surfaces import held, shaped_rig
 
 from animtool.core.errors import Fault, FormatError
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.rig.file import load_rig, parse_rig
 from animtool.rig.parts import Attachment, LoadedArray
 from animtool.rig.skeleton import Rig
@@ -66,7 +66,7 @@ def yard(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def load(yard: Path, text: str) -> Rig:
-    return parse_rig(document_of(text, yard / "hero.rig.yaml"))
+    return parse_rig(parse_document(text, yard / "hero.rig.yaml"))
 
 
 def faults(yard: Path, text: str) -> list[Fault]:
@@ -200,7 +200,7 @@ def test_arrays_in_memory_go_to_a_file(
 )
 def test_a_slip_in_a_kind_is_pointed_out(yard: Path, kind: str, near: str) -> None:
     rig = parse_rig(
-        document_of(RIG.replace("kind: soft", f"kind: {kind}"), yard / "x.rig.yaml")
+        parse_document(RIG.replace("kind: soft", f"kind: {kind}"), yard / "x.rig.yaml")
     )
     assert rig.attach[-1].kind == kind
     said = [(note.code, note.lines, note.hint) for note in rig.notices]

@@ -19,7 +19,7 @@ from animtool.motion.motion import Motion
 from animtool.motion.passes import PASSES, FrameScope, Pass, PassContext
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.file.read import load_scene
-from animtool.scene.sources.retime import Preroll, drop_first, with_preroll
+from animtool.scene.sources.retime import Preroll, drop_first_frames, with_preroll
 from animtool.usd.layers.sdf import find_layer
 
 SCENE = """scene: animtool/1
@@ -225,10 +225,10 @@ def test_preroll_at_another_rate(walk: Path) -> None:
     stream = open_source(walk)
     assert stream.fps == 30
     wanted = Preroll(Fraction(1001), 996, Fraction(24))
-    assert wanted.frames(stream) == 7  # 5 frames of 24 a second
+    assert wanted.missing_frame_count(stream) == 7  # 5 frames of 24 a second
     early = with_preroll(open_source(walk), 7)
     assert early.start == -6
-    again = drop_first(early, 7, None).collect()
+    again = drop_first_frames(early, 7, None).collect()
     whole = open_source(walk).collect()
     np.testing.assert_array_equal(
         again.motion.rotations.dense(), whole.motion.rotations.dense()

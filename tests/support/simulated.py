@@ -187,8 +187,8 @@ class Simulator:
         scene = self.scene(systems, view)
         run = SystemRun(scene.systems, float(times[-1]))
         codes = [Fraction(float(t)) for t in times]
-        rows = [row for _, row in run.rows(codes, Fraction(), Fraction(1))]
-        names = [system.name for system in scene.systems if system.written]
+        rows = [row for _, row in run.coded_frames(codes, Fraction(), Fraction(1))]
+        names = [system.name for system in scene.systems if system.is_written]
         return dict(zip(names, zip(*rows, strict=True), strict=True))  # type: ignore[arg-type]
 
     def trial(self, systems: Sequence[dict[str, Any]], times: Sequence[float]) -> Trial:

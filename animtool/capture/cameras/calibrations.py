@@ -28,7 +28,7 @@ from animtool.core.config import parse_toml
 from animtool.core.errors import Fault, FormatError, excerpt, listed
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.documents.document import Document, Location, document_of, read_text
+from animtool.documents.document import Document, Location, parse_document, read_text
 from animtool.documents.fields import MAX_NUMBER
 from animtool.documents.yaml_values import SourceMarks
 from animtool.maths.so3 import exp, to_matrix
@@ -67,7 +67,7 @@ def read_camera_document(path: Path) -> Document:
         # say.
         text = re.sub(r"\A\ufeff?%YAML[^\n]*", "", text)
         text = text.replace("!!opencv-matrix", "")
-    return document_of(text, path)
+    return parse_document(text, path)
 
 
 def _parse_toml(text: str, path: Path) -> Document:

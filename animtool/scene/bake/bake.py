@@ -118,7 +118,7 @@ def bake_take(
 def run_outputs(
     plans: Sequence[OutputPlan], progress: Progress = None
 ) -> list[OutputReport]:
-    """Run bake plans: read the sources, author and write the files."""
+    """Run bake plans, atomically: read sources, author layers, write files."""
     reports: list[OutputReport] = []
     with atomic_outputs():
         for i, plan in enumerate(plans):
@@ -136,10 +136,10 @@ def run_outputs(
 
 
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
-    """Run a planned bake to one USD file."""
+    """Run a planned bake to one USD file; return its report with the times."""
     start_time = time.perf_counter()
-    takes = [BakedTake(take, plan.recorder) for take in plan.takes]
-    state = BakeState(plan, progress, takes)
+    baked_takes = [BakedTake(take, plan.recorder) for take in plan.takes]
+    state = BakeState(plan, progress, baked_takes)
     for prims in plan.prims:
         prims.author(state)
         assert state.report is not None
@@ -147,7 +147,8 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     assert state.report is not None
     author_seconds = time.perf_counter() - start_time
     state.write()
-    total_seconds, read_seconds = time.perf_counter() - start_time, sum(state.read)
+    total_seconds = time.perf_counter() - start_time
+    read_seconds = sum(state.read_seconds)
     if not plan.takes:
         # Frames of an output with systems only are simulated while they are written.
         author_seconds = total_seconds - read_seconds

@@ -28,18 +28,18 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
 
 # Frames per piece of a motion; 60 joints take 1.5 MB.
-PIECE_FRAMES = 256
+CHUNK_FRAMES = 256
 
 
 @dataclass(frozen=True, slots=True)
 class DeformedCharacter:
-    """Meshes and strands that a bake deforms."""
+    """Meshes and strands that a bake deforms, with the rig that moves them."""
 
     rig: Rig  # the joints that carry the meshes
     surfaces: tuple[Surface, ...]
     strands: tuple[Strands, ...]  # meshes that follow single joints
     # Maps the take's joints to the rig; None if they are the rig's own.
-    mapping: RigJointMap | None
+    joint_map: RigJointMap | None
     meshes: tuple[CharacterMesh, ...]  # deformable meshes, then strands
     origin: str  # source of the meshes, for reports
 
@@ -63,27 +63,27 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
     The meshes and strands are from the take's rig if it has meshes, else from the rig
     layer, else from the USD file that the take was read from.
     """
-    source, mapping, options = take.source, take.mapping, take.options
+    source, joint_map, options = take.source, take.joint_map, take.options
     rig = take.stream.rig
     shapes = tuple(shape.name for shape in rig.shapes)
     if rig.meshes or (target is None and not is_usd(source)):
         surfaces, strands, bind = surfaces_of(rig), strands_of(rig), bind_matrices(rig)
-        source_label, mapping = f"rig {rig.name!r} of the take", None
+        source_label, joint_map = f"rig {rig.name!r} of the take", None
     else:
         from animtool.usd.rigs.mesh_read import read_source_meshes, read_target_meshes
 
         if target is not None:
-            assert mapping is not None
-            shapes = mapping.shapes
+            assert joint_map is not None
+            shapes = joint_map.shapes
             rig, source_label = target.skeleton.rig, str(target.path)
-            targets = read_target_meshes(target)
+            stage_meshes = read_target_meshes(target)
         else:
             source_label = str(source)
             prim_path = options.source.prim_path
-            targets = read_source_meshes(source, prim_path, options.placement)
-        take.notices.extend(targets.notices)
-        surfaces = _rotate_surfaces(targets.surfaces, rig.up, targets.up)
-        strands, bind = targets.strands, targets.bind
+            stage_meshes = read_source_meshes(source, prim_path, options.placement)
+        take.notices.extend(stage_meshes.notices)
+        surfaces = _rotate_surfaces(stage_meshes.surfaces, rig.up, stage_meshes.up)
+        strands, bind = stage_meshes.strands, stage_meshes.bind
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
     if not surfaces and not strands:
@@ -93,8 +93,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
         raise FormatError(Fault("USD040", message, str(source), (), hint))
     meshes = character_meshes(surfaces, rig.names, bind, shapes)
     meshes += character_strands(strands, rig.names, bind)
-    parts = (surfaces, strands, mapping, tuple(meshes))
-    return DeformedCharacter(rig, *parts, source_label)
+    character_parts = (surfaces, strands, joint_map, tuple(meshes))
+    return DeformedCharacter(rig, *character_parts, source_label)
 
 
 def _rotate_surfaces(
@@ -117,12 +117,12 @@ def _rotate_surfaces(
     )
 
 
-def motion_pieces(
-    blocks: TimedBlocks, *, neighbours: bool
+def motion_chunks(
+    blocks: TimedBlocks, *, has_neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
     """Yield a motion in short chunks, each with the slice of the frames to write.
 
-    With ``neighbours``, a chunk also contains the frames before and after these.
+    With ``has_neighbours``, chunks include the frames before and after these.
     """
     previous_frame: tuple[FloatArray, Motion] | None = None
     chunk_iterator = _split_blocks(blocks)
@@ -131,21 +131,21 @@ def motion_pieces(
         next_chunk = next(chunk_iterator, None)
         codes, motion = chunk
         chunks = [chunk]
-        if neighbours and previous_frame is not None:
+        if has_neighbours and previous_frame is not None:
             chunks.insert(0, previous_frame)
-        if neighbours and next_chunk is not None:
+        if has_neighbours and next_chunk is not None:
             chunks.append((next_chunk[0][:1], next_chunk[1].select(slice(0, 1))))
         if len(chunks) > 1:
             codes = np.concatenate([codes for codes, _ in chunks])
             motion = Motion.concatenate([motion for _, motion in chunks])
-        lead = 1 if neighbours and previous_frame is not None else 0
-        yield codes, motion, slice(lead, lead + len(chunk[0]))
+        lead_count = 1 if has_neighbours and previous_frame is not None else 0
+        yield codes, motion, slice(lead_count, lead_count + len(chunk[0]))
         previous_frame = chunk[0][-1:], chunk[1].select(slice(-1, None))
         chunk = next_chunk
 
 
 def _split_blocks(blocks: TimedBlocks) -> TimedBlocks:
     for codes, motion in blocks:
-        for begin in range(0, len(codes), PIECE_FRAMES):
-            frame_slice = slice(begin, begin + PIECE_FRAMES)
+        for begin in range(0, len(codes), CHUNK_FRAMES):
+            frame_slice = slice(begin, begin + CHUNK_FRAMES)
             yield codes[frame_slice], motion.select(frame_slice)

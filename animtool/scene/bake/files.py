@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class ConvertReport:
-    """Report of a conversion."""
+    """Report of a take that was written to a format other than USD."""
 
     output: Path  # the file written
     span: FrameSpan  # first frame, last frame and rate, as the file has them
@@ -49,7 +49,7 @@ class ConvertReport:
     joints: int
     notices: list[Fault]  # warnings and notes
     # Keys of a written clip and their errors; None for other formats.
-    keyed: KeyedTake | None = None
+    keyed_take: KeyedTake | None = None
     # Every file written, ``output`` last.
     files: list[Path] = field(default_factory=list)
     shot: Shot | None = None  # written shot; None without one
@@ -64,29 +64,29 @@ class ConvertReport:
 
     @property
     def head(self) -> dict[str, str]:
-        """Command and version of the report."""
+        """First key of the JSON report: the command, with the version of its format."""
         return {self.command: VERSION}
 
     @property
     def named(self) -> list[Path]:
-        """The output file in a list, the form in which reports of solves name files."""
+        """The main file in a list, for reports of solves."""
         return [self.output]
 
     @property
     def channels(self) -> Sequence[ChannelDeviation] | None:
         """Approximation errors of the channels of a written clip."""
-        return None if self.keyed is None else self.keyed.errors
+        return None if self.keyed_take is None else self.keyed_take.errors
 
     @property
     def cost(self) -> OutputCost:
         """Cost of the conversion, as far as it was measured."""
-        error = None if self.reduction is None else self.reduction.error
-        return OutputCost(str(self.output), None, error)
+        key_error = None if self.reduction is None else self.reduction.error
+        return OutputCost(str(self.output), None, key_error)
 
     @property
     def reduction(self) -> Reduction | None:
         """Number of keys of a written clip and their approximation error."""
-        return None if self.keyed is None else self.keyed.reduction
+        return None if self.keyed_take is None else self.keyed_take.reduction
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ class FilePlan:
     path: Path
     base: Path | None = None  # base take of an additive take
     rig_file: Path | None = None  # rig file of a clip; None writes one
-    others: tuple[TakePlan, ...] = ()  # further takes in the same file
+    other_takes: tuple[TakePlan, ...] = ()  # further takes in the same file
     names: tuple[str, ...] = ()  # names of all takes; empty uses the file name
 
     @property
@@ -114,10 +114,12 @@ class FilePlan:
         take = stream.collect()
         base_take = None
         if base is not None:
-            same_suffix = base.suffix.lower() == plan.source.suffix.lower()
-            base_take = _base_take(take, base, options.source if same_suffix else None)
-        other_streams = list(map(resample_for_output, self.others))
-        write = WriteOptions(
+            has_same_suffix = base.suffix.lower() == plan.source.suffix.lower()
+            base_take = _base_take(
+                take, base, options.source if has_same_suffix else None
+            )
+        other_streams = list(map(resample_for_output, self.other_takes))
+        write_options = WriteOptions(
             options.reduce,
             dict(options.reduce_at),
             base_take,
@@ -129,8 +131,10 @@ class FilePlan:
         mesh_notices: list[Fault] = []
         if "meshes" in writer.holds:
             take, mesh_notices = _with_meshes(take, plan)
-        outputs = _take_files(writer, take, path, write)
-        notices = [n for each in (stream, *other_streams) for n in each.notices]
+        outputs = _take_files(writer, take, path, write_options)
+        notices = [
+            n for take_stream in (stream, *other_streams) for n in take_stream.notices
+        ]
         notices += [*take.notices, *mesh_notices, *outputs.notices]
         notices = without_accepted(list(dict.fromkeys(notices)))
         refuse_warnings(notices, strict=options.strict)
@@ -200,8 +204,8 @@ def _shape_weights(take: Take, shapes: Sequence[Shape]) -> Channel | None:
     order = np.argsort(indices)
     zero_weights = Channel.static(np.zeros((len(shapes), 1)), take.clock.count)
     weights = zero_weights.put(indices[order], weights.gather(order))
-    missing = np.setdiff1d(np.arange(len(shapes)), indices)
-    return combine_missing_weights(weights, shapes, missing).compact()
+    missing_indices = np.setdiff1d(np.arange(len(shapes)), indices)
+    return combine_missing_weights(weights, shapes, missing_indices).compact()
 
 
 def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:
@@ -217,7 +221,7 @@ def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:
 def _take_files(
     writer: Writer, take: Take, path: Path, options: WriteOptions
 ) -> TakeFiles:
-    """Return the files of a take, in memory, in the format of a writer."""
+    """Return the files that a writer makes of a take, not written yet."""
     if writer.take:
         write = cast(Callable[..., TakeFiles], load_object(writer.take))
         return write(take, path, options)

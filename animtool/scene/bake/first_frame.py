@@ -19,12 +19,8 @@ from animtool.core.shot import FrameRange
 START_ROUNDING = Fraction(1, 100)
 
 
-def frame_start(
-    start: Fraction,
-    source_fps: Fraction,
-    fps: Fraction,
-    *,
-    rounds_to_frame: bool = True,
+def start_frame_at_rate(
+    start: Fraction, source_fps: Fraction, fps: Fraction, *, is_rounded: bool = True
 ) -> Fraction:
     """Return the first frame, at another rate, of a take that starts between frames.
 
@@ -34,18 +30,18 @@ def frame_start(
         start: Time code of the first frame.
         source_fps: Time codes a second that it counts.
         fps: Frames a second of the output.
-        rounds_to_frame: Whether to round to the nearest integer frame.
+        is_rounded: Whether to round to the nearest integer frame.
 
-    >>> frame_start(Fraction(24024, 25), Fraction(24), Fraction(25))
+    >>> start_frame_at_rate(Fraction(24024, 25), Fraction(24), Fraction(25))
     Fraction(1001, 1)
-    >>> frame_start(Fraction(1001), Fraction(24), Fraction(25))
+    >>> start_frame_at_rate(Fraction(1001), Fraction(24), Fraction(25))
     Fraction(1001, 1)
     """
     if start.denominator == 1 or fps == source_fps:
         return start
     first = start * fps / source_fps
     frame = Fraction(round(first))
-    return frame if rounds_to_frame or abs(first - frame) <= START_ROUNDING else first
+    return frame if is_rounded or abs(first - frame) <= START_ROUNDING else first
 
 
 def integer_frames(clock: Clock, fps: Fraction, start: Fraction) -> FrameRange | None:
@@ -83,7 +79,7 @@ def start_notice(
     """
     if source_start is None or source_start.denominator == 1 or first.denominator != 1:
         return []
-    if start != frame_start(source_start, source_fps, fps):
+    if start != start_frame_at_rate(source_start, source_fps, fps):
         # The first frame has another source, such as a rig layer's start.
         return []
     source_label = f"{frame_label(source_start)} at {rate_label(source_fps)}"

@@ -36,7 +36,7 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.sources.shot_errors import no_frames_error
+from animtool.scene.sources.retime import no_frames_error
 
 if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterRecorder
@@ -48,12 +48,12 @@ TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and m
 
 @dataclass(frozen=True, slots=True)
 class TakePlan:
-    """One take of a bake."""
+    """One take of a bake: its stream, its joint map, and its first output frame."""
 
     source: Path  # file of the take
     name: str  # legal, unique name of a library's take; else empty
     stream: TakeStream  # opened, with the joints in the order written
-    mapping: RigJointMap | None  # maps the take's joints to those of a rig layer
+    joint_map: RigJointMap | None  # maps the take's joints to those of a rig layer
     options: BakeOptions  # takes after the first have no rest frame
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
@@ -70,7 +70,7 @@ class SampledTake:
     times: SampleTimes | None = None
 
     @property
-    def frames(self) -> tuple[Fraction, Fraction] | None:
+    def first_and_last(self) -> tuple[Fraction, Fraction] | None:
         """First and last frame; None if they are unknown until the blocks are read."""
         return None if self.times is None else (self.times.first, self.times.last)
 
@@ -161,16 +161,20 @@ def _sample_times(plan: TakePlan, clock: Clock) -> SampleTimes:
 def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
     """Return a hint on how to number the take so that it contains a frame range."""
     span = Fraction(clock.count - 1) * plan.fps / clock.rate
-    origin = plan.stream.first_frame
-    offset = plan.start - origin
+    source_start = plan.stream.first_frame
+    offset = plan.start - source_start
     start = argument("start", frame_label(plan.start))
-    if offset and 0 <= frames.first - origin <= span:
-        text = f"{frames.first + math.floor(offset)}-{frames.last + math.floor(offset)}"
-        return f"{start} renumbers the take first: {argument('frame_range', text)}"
+    if offset and 0 <= frames.first - source_start <= span:
+        range_text = (
+            f"{frames.first + math.floor(offset)}-{frames.last + math.floor(offset)}"
+        )
+        return (
+            f"{start} renumbers the take first: {argument('frame_range', range_text)}"
+        )
     if plan.options.start is None and frames.last - frames.first <= span:
         start = argument("start", frames.first)
-        text = f"{start} numbers the first frame of the take {frames.first}"
-        return clause(text) or None
+        range_text = f"{start} numbers the first frame of the take {frames.first}"
+        return clause(range_text) or None
     return None
 
 
@@ -199,11 +203,13 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     if len(missing_frames) == len(requested_frames):
         # After passes that retime the take, its times do not correspond to the media.
         nearest_end = last if shot.speed < 0 else plan.start
-        ends = requested_frames[0], requested_frames[-1]
+        end_frames = requested_frames[0], requested_frames[-1]
         if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
-            raise no_frames_error(shot, *ends, length, source_path)
-        message = f"{prefix}the take has no frame from {ends[0]} to {ends[1]}"
+            raise no_frames_error(shot, *end_frames, length, source_path)
+        message = (
+            f"{prefix}the take has no frame from {end_frames[0]} to {end_frames[1]}"
+        )
         cut_key = None if shot.places_media else "shot.cut"
         hint += "; change cut, or start, the number of the take's first frame"
         fault = Fault("SCN042", message, source_path, (), hint, where=cut_key)
@@ -221,9 +227,9 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
             message = f"{prefix}the take does not have {description} "
             message += frame_spans(frames, frame_range.step)
             message += "; the nearest pose is held"
-            where = None if shot.places_media else f"shot.{key}"
+            key_text = None if shot.places_media else f"shot.{key}"
             fault = warning(
-                code, message, f"{hint}; change {key}, or export longer media", where
+                code, message, f"{hint}; change {key}, or export longer media", key_text
             )
             notices.append(with_position(fault.in_file(source_path)))
     return notices
@@ -276,8 +282,8 @@ def _range_notice(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     last = frame_range.last - (frame_range.last - frame_range.first) % frame_range.step
     if times.first == frame_range.first and times.last == last:
         return []
-    text = f"{frame_range.first}-{frame_range.last}"
-    message = f"{argument('frame_range', text)} extends beyond the take; "
+    range_text = f"{frame_range.first}-{frame_range.last}"
+    message = f"{argument('frame_range', range_text)} extends beyond the take; "
     message += f"{float(times.first):g} to {float(times.last):g} are written"
     return [warning("SCN202", message)]
 
@@ -293,12 +299,12 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     if frame_range is None or plan.options.shot is not None:
         return notices
     written_range = f"{frame_label(times.first)} to {frame_label(times.last)}"
-    last_is_off_step = (frame_range.last - frame_range.first) % frame_range.step != 0
-    ends_lack_samples = times.first > frame_range.first or times.last < frame_range.last
-    if last_is_off_step or (plan.options.keep_samples and ends_lack_samples):
-        text = f"{frame_range.first}-{frame_range.last}"
-        text += f"x{frame_range.step}" if frame_range.step > 1 else ""
-        message = f"{argument('frame_range', text)} has no sample at its ends; "
+    is_last_off_step = (frame_range.last - frame_range.first) % frame_range.step != 0
+    are_ends_missing = times.first > frame_range.first or times.last < frame_range.last
+    if is_last_off_step or (plan.options.keep_samples and are_ends_missing):
+        range_text = f"{frame_range.first}-{frame_range.last}"
+        range_text += f"x{frame_range.step}" if frame_range.step > 1 else ""
+        message = f"{argument('frame_range', range_text)} has no sample at its ends; "
         message += f"{written_range} are written"
         notices.append(Fault("CLI105", message, severity=Severity.NOTE))
     return notices
@@ -327,8 +333,8 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
     """Return a mask of the joints that leave the rest pose in any frame ``(J,)``."""
     is_moving = np.zeros(len(rig.joints), bool)
     rest_scales = np.ones((len(rig.joints), 3))
-    if plan.mapping is not None:
-        rest_scales = plan.mapping.rest_scales
+    if plan.joint_map is not None:
+        rest_scales = plan.joint_map.rest_scales
     for motion in motions:
         channels = [
             (motion.translations, rig.rest_translations),
@@ -338,8 +344,8 @@ def moving_joints(plan: TakePlan, rig: Rig, motions: list[Motion]) -> BoolArray:
             channels.append((motion.scales, rest_scales))
         for channel, rest_value in channels:
             is_moving |= (channel.rest != rest_value).any(axis=-1)
-            differs_from_rest = channel.values != rest_value[channel.animated]
-            is_moving[channel.animated] |= differs_from_rest.any(axis=(0, 2))
+            is_displaced = channel.values != rest_value[channel.animated]
+            is_moving[channel.animated] |= is_displaced.any(axis=(0, 2))
     if plan.options.root_motion and rig.roots:
         # The SkelRoot carries it; with several roots the others are relative to it.
         is_moving[rig.roots[0]] = False
@@ -357,7 +363,7 @@ class BakedTake:
     ) -> None:
         self.plan = plan
         # Number of frames read from the source, and written to the output.
-        self.frames = self.samples = 0
+        self.frame_count = self.sample_count = 0
         self.props: PropSamples | None = None
         self._recorder = recorder
         self._sampled_take: SampledTake | None = None
@@ -381,18 +387,18 @@ class BakedTake:
 
     @property
     def rig(self) -> Rig:
-        """The rig, with its rest pose."""
+        """The take's rig; its rest pose may be a requested frame of the take."""
         return self.open().rig
 
     def _count_frames(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:
-            self.frames += block.frames
+            self.frame_count += block.frames
             yield block
 
     def _record_blocks(self, blocks: TimedBlocks) -> TimedBlocks:
         """Yield blocks; count their samples and record their codes and props."""
         for codes, motion in blocks:
-            self.samples += len(codes)
+            self.sample_count += len(codes)
             if self._recorder is not None:
                 self._recorder.record_codes(codes)
             if self.props is not None:

@@ -17,8 +17,14 @@ from animtool.motion.motion import Motion
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks, moving_joints
-from animtool.scene.bake.prims import BakePlan, BakeState, Save, TakeReport, take_report
-from animtool.scene.bake.progress import prefetch, timed
+from animtool.scene.bake.prims import (
+    BakePlan,
+    BakeState,
+    SaveLayer,
+    TakeReport,
+    take_report,
+)
+from animtool.scene.bake.progress import prefetch, timed_items
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
@@ -34,11 +40,11 @@ class JointPrims:
     """SkelAnimation prims of takes and, without a rig layer, their Skeleton."""
 
     def author(self, state: BakeState) -> None:
-        """Author the layers of every take."""
+        """Author the layers of every take in memory, and set the report."""
         plan = state.plan
-        rest_rig = state.runs[0].rig
-        job = _job(plan, rest_rig)
-        takes = [_JointTake(run) for run in state.runs]
+        rest_rig = state.baked_takes[0].rig
+        job = _usd_job(plan, rest_rig)
+        takes = [_JointTake(baked_take) for baked_take in state.baked_takes]
         with closing(_usd_takes(takes, job)) as usd_takes:
             authored_layers, result = author(job, usd_takes)
         if plan.form is LayerForm.LIBRARY and plan.target is not None:
@@ -50,7 +56,7 @@ class JointPrims:
         notices += plan.notices + job.names.notices + result.notices
         state.layer = authored_layers.animation
         state.files = JointFiles(job, authored_layers, result)
-        state.read += [take.seconds["read"] for take in takes]
+        state.read_seconds += [take.seconds["read"] for take in takes]
         written_takes = zip(takes, result.takes, strict=True)
         state.report = plan.report(
             [take.report(job, written_take) for take, written_take in written_takes],
@@ -71,14 +77,14 @@ class JointFiles:
     authored_layers: AuthoredLayers
     result: UsdResult
 
-    def write(self, save: Save) -> None:
+    def write(self, save: SaveLayer) -> None:
         """Write all layers; the layer that refers to the other layers is last."""
         write_usd(self.job, self.authored_layers, self.result, save)
 
 
-def _job(plan: BakePlan, rest_rig: Rig) -> UsdJob:
+def _usd_job(plan: BakePlan, rest_rig: Rig) -> UsdJob:
     """Return the settings with which the USD writer authors every take."""
-    joint_map = plan.takes[0].mapping
+    joint_map = plan.takes[0].joint_map
     rig = rest_rig if joint_map is None else joint_map.rig
     names, joints = _usd_names(plan, rig)
     form = plan.form
@@ -114,7 +120,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
     """Yield takes for the writer; each is prepared on demand."""
     for take in takes:
         usd_take, blocks = take.prepare(job.rig)
-        joint_map = take.plan.mapping
+        joint_map = take.plan.joint_map
         rounded_blocks = round_blocks(
             blocks,
             job.rig,
@@ -122,7 +128,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
             root_motion=take.plan.options.root_motion,
             rig_scale=1.0 if joint_map is None else joint_map.world_scale,
         )
-        prefetched_blocks = prefetch(timed(rounded_blocks, take.seconds, "read"))
+        prefetched_blocks = prefetch(timed_items(rounded_blocks, take.seconds, "read"))
         try:
             yield replace(usd_take, blocks=prefetched_blocks)
         finally:
@@ -130,10 +136,10 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
 
 
 class _JointTake:
-    """One take that is written as a SkelAnimation."""
+    """A take that is written as a SkelAnimation, prepared when the writer needs it."""
 
-    def __init__(self, run: BakedTake) -> None:
-        self.plan, self._run = run.plan, run
+    def __init__(self, baked_take: BakedTake) -> None:
+        self.plan, self._baked_take = baked_take.plan, baked_take
         self.seconds = {"read": 0.0}  # time to compute blocks [s]
         self._thinned_samples: ThinnedSamples | None = None
 
@@ -142,9 +148,9 @@ class _JointTake:
 
         ``rig`` is the written rig: that of the rig layer, or of the first take.
         """
-        sampled_take = self._run.open()
-        blocks, frames = sampled_take.blocks, sampled_take.frames
-        plan, options, joint_map = self.plan, self.plan.options, self.plan.mapping
+        sampled_take = self._baked_take.open()
+        blocks, frames = sampled_take.blocks, sampled_take.first_and_last
+        plan, options, joint_map = self.plan, self.plan.options, self.plan.joint_map
         joint_mask = None
         if joint_map is not None:
             map_motion = joint_map.map_placed_motion
@@ -164,17 +170,20 @@ class _JointTake:
             blocks, self._thinned_samples, frames = _reduce_samples(
                 plan, blocks, frames, rig, step
             )
+        shapes = tuple(shape.name for shape in plan.stream.rig.shapes)
+        if joint_map is not None:
+            shapes = joint_map.shapes
         take = UsdTake(
             (),
             plan.start,
             step,
             frames=frames,
             joint_mask=joint_mask,
-            shapes=_shape_names(plan),
+            shapes=shapes,
             curves=_kept_curves(plan) if options.keep_curves else {},
             name=plan.name,
             source_name=source_stem(plan.source),
-            props=self._run.props,
+            props=self._baked_take.props,
             rig_from_take=None if joint_map is None else joint_map.rig_from_take,
             is_reduced=self._thinned_samples is not None,
             rest_record=build_rest_record(plan.stream.rig, rig)
@@ -184,13 +193,15 @@ class _JointTake:
         return take, blocks
 
     def report(self, job: UsdJob, written_take: WrittenTake) -> TakeReport:
-        """Return the report of the take."""
-        thinned = self._thinned_samples
+        """Return the report of the written take, with the error of reduction."""
+        thinned_samples = self._thinned_samples
         names, index = job.names.names, written_take.rounding.joint_index
-        report = take_report(self._run, written_take, names[index] if names else "")
-        report.thinned = thinned
-        if thinned and job.rig.names:
-            report.thinned_joint = job.rig.names[thinned.joint_index]
+        report = take_report(
+            self._baked_take, written_take, names[index] if names else ""
+        )
+        report.thinned = thinned_samples
+        if thinned_samples and job.rig.names:
+            report.thinned_joint = job.rig.names[thinned_samples.joint_index]
         return report
 
 
@@ -209,23 +220,20 @@ def _reduce_samples(
     tolerance = plan.options.reduce
     assert tolerance is not None
     # Tolerances are converted to the rig's numbers, which its stage may scale.
-    scale = 1.0 if plan.mapping is None else plan.mapping.world_scale
+    scale = 1.0 if plan.joint_map is None else plan.joint_map.world_scale
     tolerances = {name: distance / scale for name, distance in plan.options.reduce_at}
-    thinned = thin_samples(
+    thinned_samples = thin_samples(
         rig, codes, motion, tolerance / scale, joint_tolerances=tolerances
     )
-    thinned = replace(thinned, error=thinned.error * scale)
+    thinned_samples = replace(thinned_samples, error=thinned_samples.error * scale)
     if frames is None:
         frames = plan.start, plan.start + step * (len(codes) - 1)
-    kept_samples = thinned.kept_samples
-    return iter([(codes[kept_samples], motion.select(kept_samples))]), thinned, frames
-
-
-def _shape_names(plan: TakePlan) -> tuple[str, ...]:
-    """Return the names that the take's shapes have in the output."""
-    if plan.mapping is not None:
-        return plan.mapping.shapes
-    return tuple(shape.name for shape in plan.stream.rig.shapes)
+    kept_samples = thinned_samples.kept_samples
+    return (
+        iter([(codes[kept_samples], motion.select(kept_samples))]),
+        thinned_samples,
+        frames,
+    )
 
 
 def _kept_curves(plan: TakePlan) -> dict[str, Curves]:

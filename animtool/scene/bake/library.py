@@ -66,8 +66,8 @@ def in_joint_order(
     notices: list[Fault],
 ) -> list[TakeStream]:
     """Return the takes with joints in the order of the first take's joints."""
-    parents = [_parents_by_name(stream.rig, options) for stream in streams]
-    first_joints, *other_joints = parents
+    parents_by_take = [_parents_by_name(stream.rig, options) for stream in streams]
+    first_joints, *other_joints = parents_by_take
     faults = [
         Fault("USD030", difference, str(path), (), "a library has one skeleton")
         for path, joints in zip(sources[1:], other_joints, strict=True)
@@ -120,15 +120,15 @@ def _joint_difference(
 
 
 def _reorder_joints(
-    stream: TakeStream, names: list[str], order: list[str], first_rig: Rig
+    stream: TakeStream, names: list[str], joint_order: list[str], first_rig: Rig
 ) -> TakeStream:
     """Return a take with its joints in the order of another take's rig."""
-    if names == order:
+    if names == joint_order:
         return stream
     from animtool.usd.rigs.joint_map import RigJointMap
 
     rig = stream.rig
-    source_indices = np.array([names.index(name) for name in order], np.int64)
+    source_indices = np.array([names.index(name) for name in joint_order], np.int64)
     joints = tuple(
         replace(rig.joints[i], parent=joint.parent)
         for i, joint in zip(source_indices.tolist(), first_rig.joints, strict=True)
@@ -148,10 +148,10 @@ def _rest_notice(first_rig: Rig, other_rig: Rig, path: str, source: str) -> list
     distances = np.linalg.norm(
         first_rig.rest_translations - other_rig.rest_translations, axis=1
     )
-    size = float(np.abs(first_rig.rest_translations).max(initial=0.0)) or 1.0
+    rig_size = float(np.abs(first_rig.rest_translations).max(initial=0.0)) or 1.0
     angles = so3.angle_between(first_rig.rest_rotations, other_rig.rest_rotations)
     relative_errors = np.maximum(
-        distances / (REST_LENGTH_TOLERANCE * size), angles / REST_ANGLE_TOLERANCE
+        distances / (REST_LENGTH_TOLERANCE * rig_size), angles / REST_ANGLE_TOLERANCE
     )
     if relative_errors.max(initial=0.0) <= 1.0:
         return []

@@ -1,4 +1,4 @@
-"""The options of a bake."""
+"""Options of a bake, shared by commands, scenes, batches and Python."""
 
 from __future__ import annotations
 
@@ -364,7 +364,7 @@ class BakeOptions:
 
 
 def _range_option(frames: FrameRangeLike) -> FrameRange:
-    """Return the value of the option ``frame_range`` as a range."""
+    """Return a range that text, a pair of frames or a list states (SCN003)."""
     try:
         if isinstance(frames, str):
             return parse_frame_range(frames)
@@ -374,7 +374,7 @@ def _range_option(frames: FrameRangeLike) -> FrameRange:
 
 
 def _frame_option(start: FractionLike) -> Fraction:
-    """Return the value of the option ``start`` as a frame."""
+    """Return a time code that text or a number states (SCN033)."""
     try:
         return parse_frame(start)
     except ValueError as error:

@@ -21,7 +21,7 @@ from animtool.scene.bake.reading import (
     check_file_options,
     check_options,
     check_package,
-    form_of,
+    layer_form,
     output_files,
     source_set,
     split_takes,
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class OutputEntry:
-    """A requested output of a bake."""
+    """A requested output of a bake: the file, its options and its systems."""
 
     path: Path  # the file to write, or `STDOUT`
     options: BakeOptions  # options of the bake, with those of the scene
@@ -49,7 +49,7 @@ class OutputEntry:
     rig_file: Path | None = None
 
     @property
-    def simulated(self) -> bool:
+    def has_systems(self) -> bool:
         """Whether the output contains simulated systems."""
         return self.scene is not None and bool(self.scene.systems)
 
@@ -81,7 +81,7 @@ class OutputEntry:
         if self.path == STDOUT:
             return []
         if self.is_stage:
-            return output_files(self.path, self.options, simulated=self.simulated)
+            return output_files(self.path, self.options, has_systems=self.has_systems)
         format_writer = writer_of(self.path)
         if format_writer is None or self.rig_file is not None:
             return [self.path]
@@ -90,7 +90,7 @@ class OutputEntry:
 
 @dataclass(frozen=True, slots=True)
 class Outline:
-    """Sources and outputs of a bake."""
+    """The sources and requested outputs of a bake, before anything is read."""
 
     source_set: SourceSet
     outputs: tuple[OutputEntry, ...]
@@ -113,7 +113,7 @@ class Outline:
 
     @property
     def files(self) -> list[Path]:
-        """Every file to write."""
+        """Every file that the outputs write, in their order."""
         return [path for entry in self.outputs for path in entry.files]
 
 
@@ -143,7 +143,7 @@ def create_outline(
     path = STDOUT if output is None else Path(output)
     if not scenes and path != STDOUT and _holds_all_takes(path, options):
         sources_to_read = split_takes(sources_to_read, options)
-        is_library = form_of(options) is LayerForm.LIBRARY
+        is_library = layer_form(options) is LayerForm.LIBRARY
         if sources_to_read.names and is_library and not path.exists():
             # Several takes make a library by default.
             options = replace(options, form=None)
@@ -167,7 +167,7 @@ def create_outline(
 def _holds_all_takes(path: Path, options: BakeOptions) -> bool:
     """Return whether an output contains all takes of a source."""
     if writes_stage(path):
-        return form_of(options) is LayerForm.LIBRARY
+        return layer_form(options) is LayerForm.LIBRARY
     writer = writer_of(path)
     return writer is not None and writer.several
 
@@ -189,16 +189,16 @@ def check_outline(outline: Outline) -> None:
         if has_several and entry.path == STDOUT:
             raise OptionError(entry.locate(Fault("DOC021", "an output has no file")))
         try:
-            check_entry(entry, source_set.inputs, source_set.files[0])
+            check_output_entry(entry, source_set.inputs, source_set.files[0])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
             error_types.append(type(error))
     try:
         scenes = source_set.scenes.values()
-        saved_states = [path for scene in scenes for path in scene.extra_outputs]
+        extra_outputs = [path for scene in scenes for path in scene.extra_outputs]
         inputs = [*source_set.inputs, *outline.files]
         overwrite = outline.outputs[0].options.overwrite
-        check_outputs(saved_states, inputs, overwrite=overwrite)
+        check_outputs(extra_outputs, inputs, overwrite=overwrite)
     except AnimtoolError as error:
         faults += error.faults
         error_types.append(type(error))
@@ -224,12 +224,14 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
     return faults
 
 
-def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> None:
+def check_output_entry(
+    entry: OutputEntry, inputs: Sequence[Path], source: Path
+) -> None:
     """Raise the faults of one output before anything is read.
 
     ``inputs`` are the files that are read; the first, ``source``, names a take.
     """
-    check_settings(entry)
+    check_output_options(entry)
     path, options = entry.path, entry.options
     if path == STDOUT:
         return
@@ -238,11 +240,11 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
             inputs = [*inputs, entry.base]
         check_outputs(entry.files, inputs, overwrite=options.overwrite)
         return
-    layer = [options.rig_layer] if options.rig_layer else []
-    is_library = form_of(options) is LayerForm.LIBRARY
+    rig_layers = [options.rig_layer] if options.rig_layer else []
+    is_library = layer_form(options) is LayerForm.LIBRARY
     # Baking extends an existing library, or replaces one of its takes.
     overwrite = options.overwrite or (is_library and path.exists())
-    check_outputs(entry.files, [*inputs, *layer], overwrite=overwrite)
+    check_outputs(entry.files, [*inputs, *rig_layers], overwrite=overwrite)
     if is_library and path.exists():
         from animtool.usd.takes.library import check_can_add_take
 
@@ -250,7 +252,7 @@ def check_entry(entry: OutputEntry, inputs: Sequence[Path], source: Path) -> Non
         check_can_add_take(path, name, options.prim_path, overwrite=options.overwrite)
 
 
-def check_settings(entry: OutputEntry) -> None:
+def check_output_options(entry: OutputEntry) -> None:
     """Raise an error for an unknown format or options that exclude each other."""
     path, options = entry.path, entry.options
     if not entry.is_stage:
@@ -258,9 +260,9 @@ def check_settings(entry: OutputEntry) -> None:
         if entry.location is None:
             check_file_options(options, writer, path)
         return
-    to_stdout = path == STDOUT
-    check_options(options, to_stdout=to_stdout, simulated=entry.simulated)
-    if to_stdout:
+    is_stdout = path == STDOUT
+    check_options(options, is_stdout=is_stdout, has_systems=entry.has_systems)
+    if is_stdout:
         return
     check_path(path)
     if path.suffix.lower() == USD_PACKAGE_SUFFIX:

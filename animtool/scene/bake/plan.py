@@ -28,21 +28,21 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassthroughTracks
 from animtool.motion.reorient import placement_notice, remove_placement, reorient
 from animtool.motion.take import Take, TakeStream
-from animtool.scene.bake.first_frame import frame_start
+from animtool.scene.bake.first_frame import start_frame_at_rate
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import (
     Outline,
     OutputEntry,
     check_outline,
-    check_settings,
+    check_output_options,
     create_outline,
     duplicate_outputs,
     take_name,
 )
 from animtool.scene.bake.prims import BakePlan, OutputPrims
 from animtool.scene.bake.progress import Progress, part_progress
-from animtool.scene.bake.reading import Source, form_of
+from animtool.scene.bake.reading import Source, layer_form
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm
 from animtool.usd.layers.sdf import check_prim_path
@@ -80,12 +80,12 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
         return [_planned_systems(entry, outline.notices) for entry in entries]
     options = entries[0].options
     if len(entries) > 1:
-        any_forced = any(entry.options.force_fit for entry in entries)
-        options = BakeOptions(force_fit=any_forced)
+        is_any_forced = any(entry.options.force_fit for entry in entries)
+        options = BakeOptions(force_fit=is_any_forced)
     # Systems are planned after the take that they accompany.
-    has_systems = any(entry.simulated for entry in entries)
-    work_follows = has_systems or len(entries) > 1
-    source_progress = part_progress(progress, 0, 2) if work_follows else progress
+    has_systems = any(entry.has_systems for entry in entries)
+    has_more_work = has_systems or len(entries) > 1
+    source_progress = part_progress(progress, 0, 2) if has_more_work else progress
     with protect_inputs(outline.files):
         streams = source_set.open(options, source_progress)
     notices = [*outline.notices, *source_set.unused_option_warnings]
@@ -115,7 +115,7 @@ def planning_faults(outline: Outline, take: Take | None) -> list[Fault]:
         if not entry_inputs.isdisjoint(path.resolve() for path in entry.files):
             continue  # never read (OUT003)
         try:
-            check_settings(entry)
+            check_output_options(entry)
             if take is None:
                 _planned_systems(entry, [])
             else:
@@ -145,13 +145,13 @@ def _plan_output(
     notices: list[Fault],
     names: tuple[str, ...] = (),
 ) -> OutputPlan:
-    """Return the plan of one output from opened sources."""
+    """Return the plan of one output: USD, or a file of another format."""
     scene = entry.scene
     if not entry.is_stage:
-        file = _planned_file(sources[0], streams[0], entry, notices)
+        file_plan = _planned_file(sources[0], streams[0], entry, notices)
         if len(streams) == 1:
-            return file
-        return _with_other_takes(file, sources, streams, entry, notices, names)
+            return file_plan
+        return _with_other_takes(file_plan, sources, streams, entry, notices, names)
     with nullcontext() if scene is None else scene.located_props():
         plan = plan_takes(sources, streams, entry.path, entry.options, notices, names)
     return plan if scene is None else _with_systems(plan, scene)
@@ -163,17 +163,17 @@ def _planned_file(
     """Return the plan of one take in a format other than USD."""
     from animtool.scene.bake.files import FilePlan
 
-    options, omitted_items = entry.options, []
+    options, omitted_parts = entry.options, []
     if options.reduce is not None:
         notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
         system_names = [system.name for system in entry.scene.systems]
-        omitted_items.append(f"simulated systems: {listed(system_names, MAX_LISTED)}")
+        omitted_parts.append(f"simulated systems: {listed(system_names, MAX_LISTED)}")
     if stream.tracks:
         paths = [track.path for track in stream.tracks]
-        omitted_items.append(listed(paths, MAX_LISTED))
+        omitted_parts.append(listed(paths, MAX_LISTED))
         stream = PassthroughTracks(stream).stream
-    for text in omitted_items:
+    for text in omitted_parts:
         message = f"a {take_writer(entry.path).name} file cannot hold {text}"
         note = Fault("SCN112", message, severity=Severity.NOTE)
         notices.append(entry.locate(note))
@@ -213,8 +213,8 @@ def _with_other_takes(
         for source, file_plan in zip(sources, (plan, *other_plans), strict=True)
     ]
     names = names or tuple(numbered_names(default_names))
-    others = tuple(file_plan.take for file_plan in other_plans)
-    return replace(plan, others=others, names=names)
+    other_takes = tuple(file_plan.take for file_plan in other_plans)
+    return replace(plan, other_takes=other_takes, names=names)
 
 
 def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
@@ -269,18 +269,18 @@ def plan_takes(
 
     stated_names: names of the takes; empty uses the file names.
     """
-    form = form_of(options)
+    form = layer_form(options)
     is_library = form is LayerForm.LIBRARY
     extends_library = is_library and path != STDOUT and path.exists()
     target = _open_rig_layer(
         path if extends_library else options.rig_layer, options.prim_path
     )
-    mappings: Sequence[RigJointMap | None]
+    joint_maps: Sequence[RigJointMap | None]
     if target is None:
         streams = _reorient_to_stage(sources, streams, options, notices)
-        mappings = [None] * len(streams)
+        joint_maps = [None] * len(streams)
     else:
-        streams, mappings = _map_to_rig_layer(streams, target, options, notices)
+        streams, joint_maps = _map_to_rig_layer(streams, target, options, notices)
     if options.root_motion and not streams[0].rig.joints:
         message = f"{argument('root_motion', True)} carries the motion of a joint, but "
         message += "there is none"
@@ -306,7 +306,7 @@ def plan_takes(
     start = output_start(options, target, streams[0], sources[0])
     # Only the first take of a library sets the rest pose.
     take_options = [options] + [replace(options, rest_frame=None)] * (len(streams) - 1)
-    take_values = zip(sources, names, streams, mappings, take_options, strict=True)
+    take_values = zip(sources, names, streams, joint_maps, take_options, strict=True)
     takes = tuple(TakePlan(*values, fps, start, notices) for values in take_values)
     reason = f"{'no' if target is None else 'a'} rig layer was set"
     if options.form is not None:
@@ -340,7 +340,7 @@ def _check_props(plan: BakePlan) -> None:
 
 
 def _take_prims(take: TakePlan, target: RigTarget | None) -> OutputPrims:
-    """Return how a take is written: as joints or as deformed points."""
+    """Return the prims of a take: joints, or points if it is deformed."""
     if not take.options.deform:
         from animtool.scene.bake.joint_prims import JointPrims
 
@@ -388,8 +388,10 @@ def _map_to_rig_layer(
         )
         for stream in streams
     ]
-    mappings = [_joint_map(take, target, options, notices) for take in rig_space_takes]
-    return [take.stream for take in rig_space_takes], mappings
+    joint_maps = [
+        _joint_map(take, target, options, notices) for take in rig_space_takes
+    ]
+    return [take.stream for take in rig_space_takes], joint_maps
 
 
 def _joint_map(
@@ -464,9 +466,7 @@ def output_start(
         if stream.start.denominator == 1:
             return stream.start
         fps = options.fps or (target.fps if target else stream.fps)
-        rounds_to_frame = not options.keep_samples
-        return frame_start(
-            stream.start, stream.fps, fps, rounds_to_frame=rounds_to_frame
-        )
+        is_rounded = not options.keep_samples
+        return start_frame_at_rate(stream.start, stream.fps, fps, is_rounded=is_rounded)
     configured_start = find_config(source).start
     return Fraction(1) if configured_start is None else configured_start

@@ -18,14 +18,14 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.motion.motion import Channel
 from animtool.rig.kinematics import WorldTransforms, rest_size
-from animtool.scene.bake.deformed_character import DeformedCharacter, motion_pieces
+from animtool.scene.bake.deformed_character import DeformedCharacter, motion_chunks
 from animtool.scene.bake.frames import BakedTake, TimedBlocks
 from animtool.scene.bake.prims import (
     BakePlan,
     BakeState,
     MeshReport,
-    OneFile,
-    Save,
+    SaveLayer,
+    SingleFile,
     take_report,
 )
 from animtool.scene.bake.progress import prefetch
@@ -61,7 +61,7 @@ class PointStream:
     meters_per_unit: float  # unit of the output [m]
     rate: float  # time codes a second
     spaces: Sequence[PointSpace]  # space in which each mesh is written
-    velocities: bool = False  # whether to compute velocities
+    has_velocities: bool = False  # whether to compute velocities
     # Time spent on each mesh so far, without joints [s].
     seconds: list[float] = field(default_factory=list)
 
@@ -69,12 +69,12 @@ class PointStream:
         """Yield blocks of frames of all meshes, in time order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
-        for codes, motion, written_frames in motion_pieces(
-            timed_blocks, neighbours=self.velocities
+        for codes, motion, written_frames in motion_chunks(
+            timed_blocks, has_neighbours=self.has_velocities
         ):
             mapped_motion = motion
-            if character.mapping is not None:
-                mapped_motion = character.mapping.map_placed_motion(codes, motion)
+            if character.joint_map is not None:
+                mapped_motion = character.joint_map.map_placed_motion(codes, motion)
             world = mapped_motion.world(character.rig)
             weights = None if motion.weights is None else motion.weights.dense()[..., 0]
             for i, mesh in enumerate(character.meshes):
@@ -86,15 +86,15 @@ class PointStream:
 
     def _displaced_frames(
         self,
-        mesh: int,
+        mesh_index: int,
         deformed_blocks: Iterator[DeformedFrames],
         codes: FloatArray,
         points: Channel,
     ) -> Iterator[DeformedFrames]:
         """Yield frames of a mesh with its points replaced by displaced ones."""
         surfaces = self.character.surfaces
-        surface = surfaces[mesh] if mesh < len(surfaces) else None
-        times = codes / self.rate if self.velocities else None
+        surface = surfaces[mesh_index] if mesh_index < len(surfaces) else None
+        times = codes / self.rate if self.has_velocities else None
         frames_done = 0
         for deformed_block in deformed_blocks:
             frames = slice(frames_done, frames_done + len(deformed_block.points))
@@ -103,7 +103,7 @@ class PointStream:
 
     def _float32_blocks(
         self,
-        mesh: int,
+        mesh_index: int,
         codes: FloatArray,
         deformed_blocks: Iterator[DeformedFrames],
         written_frames: slice,
@@ -120,12 +120,12 @@ class PointStream:
             frames_done += len(deformed_block.points)
             if not len(block_codes):
                 continue
-            space = (self.meters_per_unit, self.spaces[mesh])
-            block = round_points(mesh, block_codes, written_block, *space)
-            self.seconds[mesh] += time.perf_counter() - start_time
+            space = (self.meters_per_unit, self.spaces[mesh_index])
+            block = round_points(mesh_index, block_codes, written_block, *space)
+            self.seconds[mesh_index] += time.perf_counter() - start_time
             yield block
             start_time = time.perf_counter()
-        self.seconds[mesh] += time.perf_counter() - start_time
+        self.seconds[mesh_index] += time.perf_counter() - start_time
 
     def _deform_frames(
         self,
@@ -135,15 +135,20 @@ class PointStream:
         world: WorldTransforms,
     ) -> Iterator[DeformedFrames]:
         """Yield blocks of the deformed frames of a mesh."""
-        record, times = mesh.mesh, codes / self.rate if self.velocities else None
-        normals = record.normals is not None
+        deformed_mesh = mesh.mesh
+        times = codes / self.rate if self.has_velocities else None
+        has_normals = deformed_mesh.normals is not None
         if not _is_static(mesh, weights, world):
-            return deform_blocks(record, weights, world, normals=normals, times=times)
+            return deform_blocks(
+                deformed_mesh, weights, world, normals=has_normals, times=times
+            )
         # One frame represents all of them, at no further cost.
         weights = None if weights is None else weights[:1]
         world = WorldTransforms(world.positions[:1], world.linear[:1])
         times = None if times is None else times[:1]
-        first_frame = deform(record, weights, world, normals=normals, times=times)
+        first_frame = deform(
+            deformed_mesh, weights, world, normals=has_normals, times=times
+        )
         return _repeat_first_frame(first_frame, len(codes))
 
 
@@ -162,15 +167,17 @@ def _is_static(
     )
 
 
-def _repeat_first_frame(frame: DeformedFrames, frames: int) -> Iterator[DeformedFrames]:
-    """Yield blocks of a number of frames that are all equal to one."""
-    size = block_frames(frame.points.shape[1])
+def _repeat_first_frame(
+    frame: DeformedFrames, frame_count: int
+) -> Iterator[DeformedFrames]:
+    """Yield a number of frames in blocks, all equal to a single frame."""
+    block_size = block_frames(frame.points.shape[1])
 
     def repeat(values: FloatArray | None, count: int) -> Any:
         return None if values is None else np.repeat(values, count, axis=0)
 
-    for begin in range(0, frames, size):
-        count = min(size, frames - begin)
+    for begin in range(0, frame_count, block_size):
+        count = min(block_size, frame_count - begin)
         names = ("points", "extents", "normals", "velocities")
         yield DeformedFrames(*(repeat(getattr(frame, name), count) for name in names))
 
@@ -183,36 +190,47 @@ class PointPrims:
 
     def author(self, state: BakeState) -> None:
         """Author the prims; if chunks are requested, also write the chunk files."""
-        plan, (run,) = state.plan, state.runs
-        stream, sampled_take = run.plan.stream, run.open()
-        job, character, spaces = _job(plan, self.character, sampled_take.frames)
+        plan, (baked_take,) = state.plan, state.baked_takes
+        stream, sampled_take = baked_take.plan.stream, baked_take.open()
+        job, character, spaces = _cache_job(
+            plan, self.character, sampled_take.first_and_last
+        )
         unit, velocities = job.meters_per_unit, plan.options.velocities
         point_stream = PointStream(character, unit, float(plan.fps), spaces, velocities)
         with closing(prefetch(point_stream.blocks(sampled_take.blocks))) as blocks:
             if plan.options.chunk is None:
                 layer, meshes = author_cache(job, blocks)
-                result = _usd_result(layer, meshes, run)
-                state.files = OneFile(layer, plan.output, result)
+                result = _usd_result(layer, meshes, baked_take)
+                state.files = SingleFile(layer, plan.output, result)
             else:
                 cache = write_chunks(job, blocks, plan.options.chunk)
                 layer, meshes = cache.layer, cache.reports
-                result = _usd_result(layer, meshes, run)
+                result = _usd_result(layer, meshes, baked_take)
                 state.files = ChunkFiles(cache, result)
         state.layer = layer
-        if run.props is not None:
+        if baked_take.props is not None:
             up = character.rig.up
-            result.takes[0].props = _author_props(layer, plan, job, run, up)
-        state.read += point_stream.seconds
-        surfaces = len(character.surfaces)
-        kinds = ["mesh"] * surfaces + ["strands"] * (len(character.meshes) - surfaces)
+            result.takes[0].props = _author_props(layer, plan, job, baked_take, up)
+        state.read_seconds += point_stream.seconds
+        surface_count = len(character.surfaces)
+        kinds = ["mesh"] * surface_count + ["strands"] * (
+            len(character.meshes) - surface_count
+        )
         reports = [
-            MeshReport(mesh.name, prim, time, run.samples, kind, of=character.origin)
-            for mesh, prim, time, kind in zip(
+            MeshReport(
+                mesh.name,
+                prim,
+                seconds,
+                baked_take.sample_count,
+                kind,
+                of=character.origin,
+            )
+            for mesh, prim, seconds, kind in zip(
                 character.meshes, meshes, point_stream.seconds, kinds, strict=True
             )
         ]
         state.report = plan.report(
-            [take_report(run, result.takes[0], "", reports)],
+            [take_report(baked_take, result.takes[0], "", reports)],
             result,
             stream.notices + plan.notices,
             joints=len(stream.rig.joints),
@@ -230,18 +248,18 @@ class ChunkFiles:
     cache: ChunkedCache
     result: UsdResult
 
-    def write(self, save: Save) -> None:
-        """Write the manifest and the layer."""
+    def write(self, save: SaveLayer) -> None:
+        """Write the manifest of the chunks, and the layer that refers to them."""
         self.result.outputs += self.cache.finish(save)
         self.result.bytes = sum(map(written_size, self.result.outputs))
 
 
 def _author_props(
-    layer: Any, plan: BakePlan, job: CacheJob, run: BakedTake, up: UpAxis
+    layer: Any, plan: BakePlan, job: CacheJob, baked_take: BakedTake, up: UpAxis
 ) -> list[str]:
     """Author the props of the take in a layer and return their prim paths."""
-    assert run.props is not None
-    joint_map = plan.takes[0].mapping
+    assert baked_take.props is not None
+    joint_map = plan.takes[0].joint_map
     placements = build_prop_placements(
         job.paths,
         plan.target,
@@ -250,17 +268,17 @@ def _author_props(
         up,
         rig_from_take=None if joint_map is None else joint_map.rig_from_take,
     )
-    props, notices = author_props(layer, run.props, placements, plan.output)
+    props, notices = author_props(layer, baked_take.props, placements, plan.output)
     plan.notices.extend(notices)
     return props
 
 
-def _job(
+def _cache_job(
     plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
     """Return the writer's settings, the character, and the space of each mesh."""
     if plan.target is not None:
-        return _layer_job(plan, character, span)
+        return _rig_layer_job(plan, character, span)
     paths, unit = plan.paths, plan.meters_per_unit
     job = CacheJob(
         plan.output,
@@ -279,10 +297,10 @@ def _job(
     return job, character, spaces
 
 
-def _layer_job(
+def _rig_layer_job(
     plan: BakePlan, character: DeformedCharacter, span: tuple[Fraction, Fraction] | None
 ) -> tuple[CacheJob, DeformedCharacter, Sequence[PointSpace]]:
-    """Return what `_job` does, for a layer over a rig: only meshes the rig has."""
+    """Return the settings for a layer over a rig, with only meshes that it has."""
     from animtool.usd.caches.target import open_cache_target
 
     assert plan.target is not None
@@ -315,14 +333,16 @@ def _layer_job(
     return job, character.with_meshes(*names), [prim.space for prim in target.prims]
 
 
-def _usd_result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> UsdResult:
-    """Return what a layer of point caches contains."""
+def _usd_result(
+    layer: Any, meshes: Sequence[CachedMesh], baked_take: BakedTake
+) -> UsdResult:
+    """Return the span, samples and rounding of a layer of point caches."""
     span = layer_span(layer)
     worst_mesh = max(meshes, key=lambda mesh: mesh.error)
     take = WrittenTake(
         "",
         span,
-        samples=run.samples,
+        samples=baked_take.sample_count,
         sampled=list(dict.fromkeys(name for mesh in meshes for name in mesh.sampled)),
         rounding=Rounding(worst_mesh.error, worst_mesh.error_code),
     )

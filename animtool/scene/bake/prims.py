@@ -35,14 +35,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class MeshReport:
-    """Report of a written mesh, strand set or system."""
+    """Report of a mesh, strand set or system: its prim, its time and its origin."""
 
     name: str  # name in the rig
     written: CachedMesh  # the written prim
     seconds: float  # time spent on deforming and rounding it [s]
     frames: int  # number of frames
     kind: str  # ``mesh`` or ``strands`` of a character, or a kind of system
-    simulated: bool = False  # whether it is a system rather than a deformed mesh
+    is_simulated: bool = False  # whether it is a system rather than a deformed mesh
     of: str = ""  # origin of the character's meshes, or file name of the scene
     json_keys: ClassVar[str] = (
         "mesh=name kind prim=written.path of vertices=written.vertices "
@@ -54,7 +54,7 @@ class MeshReport:
 
     @property
     def milliseconds_per_frame(self) -> float:
-        """Time for a frame [ms]."""
+        """Mean time to deform and round a frame [ms]."""
         return self.seconds * 1e3 / max(self.frames, 1)
 
 
@@ -68,14 +68,14 @@ _ERROR = (
 
 @dataclass(slots=True)
 class TakeReport:
-    """Report of one baked take."""
+    """Report of one baked take: its source, what was written, and the errors."""
 
     source: Path  # file of the take
     written: WrittenTake  # the take as written
     source_frames: int  # frames of the source
     source_fps: Fraction  # its frame rate
     error_joint: str  # joint with the largest rounding displacement
-    unit_assumed: bool = False  # whether the source states no unit
+    is_unit_assumed: bool = False  # whether the source states no unit
     source_bytes: int = 0  # size of the source; 0 for a scene, which contains no motion
     # Properties that the source states.
     details: dict[str, object] = field(default_factory=dict)
@@ -87,12 +87,13 @@ class TakeReport:
     # Results of the simulations, as plain values.
     simulated: list[dict[str, object]] = field(default_factory=list)
     scores: list[PassScores] = field(default_factory=list)  # of its passes
-    between: int = 0  # number of source samples between the written frames
+    between_frames: int = 0  # number of source samples between the written frames
     size: float = 0.0  # extent of the skeleton at rest [m]
     fps: Fraction = Fraction(0)  # time codes a second of the output
     json_keys: ClassVar[str] = (
         "take=written.name+ source source_frames source_rate=source_fps# "
-        "between_frames=between animation=written.animation props=written.props+ "
+        "between_frames animation=written.animation "
+        "props=written.props+ "
         "fit=details.fit? *in_library{samples=written.samples start=written.span.first "
         "end=written.span.last joints_written=written.joints animated=written.sampled "
         f"error=.{_ERROR}}} meshes+ simulated+ scores+ "
@@ -103,7 +104,7 @@ class TakeReport:
     )
 
     @property
-    def posed(self) -> bool:
+    def has_joints(self) -> bool:
         """Whether joints were written."""
         return not self.meshes or bool(self.written.animation)
 
@@ -130,17 +131,19 @@ class TakeReport:
 
 
 def take_report(
-    run: BakedTake,
+    baked_take: BakedTake,
     written_take: WrittenTake,
     joint: str = "",
     meshes: Sequence[MeshReport] = (),
 ) -> TakeReport:
     """Return the report of a take: rounding errors and meshes."""
-    plan, stream, times = run.plan, run.plan.stream, run.open().times
+    plan = baked_take.plan
+    stream = baked_take.plan.stream
+    sample_times = baked_take.open().times
     return TakeReport(
         plan.source,
         written_take,
-        stream.count or run.frames,
+        stream.count or baked_take.frame_count,
         stream.fps / stream.step,
         joint,
         plan.options.source.unit is None and "units" not in stream.details,
@@ -149,13 +152,15 @@ def take_report(
         meshes=list(meshes),
         simulated=list(stream.simulated),
         scores=list(stream.scores),
-        between=0 if times is None else times.dropped_between_frames,
+        between_frames=0
+        if sample_times is None
+        else sample_times.dropped_between_frames,
     )
 
 
 @dataclass(slots=True)
 class BakeReport:
-    """Report of a bake."""
+    """Report of a bake to USD: its takes, layers, errors and times."""
 
     takes: list[TakeReport]  # reports of the takes, at least one
     result: UsdResult  # content of the written layers
@@ -189,14 +194,14 @@ class BakeReport:
         return [] if len(self.takes) == 1 else self.takes
 
     @property
-    def posed(self) -> bool:
+    def has_joints(self) -> bool:
         """Whether joints were written."""
-        return self.only is None or self.only.posed
+        return self.only is None or self.only.has_joints
 
     @property
-    def unit_assumed(self) -> bool:
+    def is_unit_assumed(self) -> bool:
         """Whether the length unit of any source is assumed, not stated."""
-        return any(take.unit_assumed for take in self.takes)
+        return any(take.is_unit_assumed for take in self.takes)
 
     @property
     def props(self) -> list[str]:
@@ -217,12 +222,12 @@ class BakeReport:
     def cost(self) -> OutputCost:
         """Cost of the output, with the largest rounding error."""
         name = str(self.files[-1]) if self.files else "stdout"
-        error = self.worst.written.rounding.error
-        return OutputCost(name, self.seconds["total"], error)
+        rounding_error = self.worst.written.rounding.error
+        return OutputCost(name, self.seconds["total"], rounding_error)
 
     @property
     def units(self) -> str:
-        """Name of the output's unit."""
+        """Name of the output's length unit, such as ``cm``."""
         return unit_name(self.meters_per_unit)
 
     @property
@@ -259,7 +264,7 @@ class BakeReport:
 
     @property
     def source_bytes(self) -> int:
-        """Total size of the sources."""
+        """Total size of the motion files that were read [byte]."""
         return sum(take.source_bytes for take in self.takes)
 
 
@@ -271,7 +276,7 @@ def raise_stopped(reports: Sequence[object]) -> None:
 
 
 # Writes a layer to a file, or as text to stdout; returns the number of bytes.
-Save: TypeAlias = Callable[[Any, Path], int]
+SaveLayer: TypeAlias = Callable[[Any, Path], int]
 
 
 @dataclass(frozen=True, slots=True)
@@ -282,7 +287,7 @@ class BakePlan:
     output: Path  # the file to write, or `STDOUT`
     options: BakeOptions
     form: LayerForm
-    reason: str  # reason for the form
+    form_reason: str  # reason for the form
     target: RigTarget | None  # rig of a layer
     fps: Fraction  # time codes a second of the output
     start: Fraction  # time code of the first frame
@@ -292,7 +297,7 @@ class BakePlan:
 
     @property
     def rig(self) -> Rig:
-        """Rig of the first take, or of the rig layer."""
+        """Rig of the rig layer, else of the first take."""
         if self.target is not None:
             return self.target.skeleton.rig
         return self.takes[0].stream.rig
@@ -333,7 +338,7 @@ class BakePlan:
         return BakeReport(
             takes,
             result,
-            f"{form_name}{self.form} ({self.reason})",
+            f"{form_name}{self.form} ({self.form_reason})",
             joints,
             meters_per_unit,
             up.value,
@@ -346,19 +351,19 @@ class BakePlan:
 class OutputFiles(Protocol):
     """Authored files of a bake that are not written yet."""
 
-    def write(self, save: Save) -> None:
+    def write(self, save: SaveLayer) -> None:
         """Write the files; ``save`` writes the animation layer."""
 
 
 @dataclass(frozen=True, slots=True)
-class OneFile:
+class SingleFile:
     """A layer that is the only file of a bake."""
 
     layer: Any
     output: Path  # the file, or `STDOUT`
     result: UsdResult
 
-    def write(self, save: Save) -> None:
+    def write(self, save: SaveLayer) -> None:
         """Write the layer."""
         self.result.bytes = save(self.layer, self.output)
         self.result.outputs += [] if self.output == STDOUT else [self.output]
@@ -371,7 +376,7 @@ class DeferredFrames(Protocol):
         """Write a layer with its computed frames; return the number of bytes."""
 
     def complete(self, state: BakeState) -> None:
-        """Add the computed frames to the report."""
+        """Add samples, errors and notices of the computed frames to the report."""
 
 
 @dataclass(slots=True)
@@ -380,13 +385,15 @@ class BakeState:
 
     plan: BakePlan
     progress: Progress  # progress after the takes are read
-    runs: list[BakedTake]
+    baked_takes: list[BakedTake]
     # None until the first prims create it.
     layer: Any = None
     files: OutputFiles | None = None
     report: BakeReport | None = None
     deferred_frames: DeferredFrames | None = None  # frames of systems
-    read: list[float] = field(default_factory=list)  # time to compute frames [s]
+    read_seconds: list[float] = field(
+        default_factory=list
+    )  # time to compute frames [s]
 
     def write(self) -> None:
         """Write all files and complete the report."""

@@ -18,14 +18,14 @@ if TYPE_CHECKING:
     from animtool.core.array_types import FloatArray
     from animtool.motion.motion import Motion
 
-Item = TypeVar("Item")
+ItemT = TypeVar("ItemT")
 
 # Called with the fraction done, 0 to 1; None if progress is not shown.
 Progress: TypeAlias = Callable[[float], None] | None
 
 
 def with_progress(
-    blocks: Iterator[Motion], frames: int, progress: Callable[[float], None]
+    blocks: Iterator[Motion], frame_count: int, progress: Callable[[float], None]
 ) -> Iterator[Motion]:
     """Yield blocks, and report the fraction of all frames that has been yielded."""
     frames_done = 0
@@ -33,12 +33,12 @@ def with_progress(
     for block in blocks:
         yield block
         frames_done += block.frames
-        progress(min(frames_done / frames, 1.0))
+        progress(min(frames_done / frame_count, 1.0))
 
 
-def timed(
-    items: Iterator[Item], seconds: MutableMapping[str, float], stage: str
-) -> Iterator[Item]:
+def timed_items(
+    items: Iterator[ItemT], seconds: MutableMapping[str, float], stage: str
+) -> Iterator[ItemT]:
     """Yield items and add the time they take to a stage."""
     while True:
         start_time = time.perf_counter()
@@ -54,8 +54,8 @@ class _EndOfItems:
     error: BaseException | None = None
 
 
-def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
-    """Yield the items of an iterator; a thread computes up to ``depth`` ahead.
+def prefetch(items: Iterator[ItemT], max_prefetched: int = 3) -> Generator[ItemT]:
+    """Yield the items of an iterator; a thread computes up to ``max_prefetched`` ahead.
 
     This helps if the iterator spends its time in kernels that release the GIL. An error
     is raised after the items before it. Closing the generator stops the thread.
@@ -65,10 +65,10 @@ def prefetch(items: Iterator[Item], depth: int = 3) -> Generator[Item]:
     """
     import queue
 
-    item_queue: queue.Queue[Item | _EndOfItems] = queue.Queue(depth)
+    item_queue: queue.Queue[ItemT | _EndOfItems] = queue.Queue(max_prefetched)
     stop_event = threading.Event()
 
-    def put_item(item: Item | _EndOfItems) -> None:
+    def put_item(item: ItemT | _EndOfItems) -> None:
         while not stop_event.is_set():
             with contextlib.suppress(queue.Full):
                 item_queue.put(item, timeout=0.1)
@@ -139,7 +139,7 @@ class BlockProgress:
 
         return report_fraction
 
-    def blocks(self, items: Iterator[Item]) -> Iterator[Item]:
+    def blocks(self, items: Iterator[ItemT]) -> Iterator[ItemT]:
         """Yield finished blocks; after the last the fraction is 1."""
         for item in items:
             yield item
@@ -234,9 +234,9 @@ class PeakMemory:
         peak = _status_peak()
         if peak is None:
             return _process_peak()
-        path, word = _RESET_PEAK_COMMAND
+        path, command = _RESET_PEAK_COMMAND
         with contextlib.suppress(OSError), open(path, "wb", 0) as file:  # noqa: PTH123
-            file.write(word)
+            file.write(command)
         return peak
 
 
@@ -265,7 +265,7 @@ def _process_peak() -> int | None:
 
 @dataclass(slots=True)
 class StageCost:
-    """Time and memory of one stage."""
+    """Time and memory of one stage: of a source, or of a pass."""
 
     name: str  # name of a source's file, or of a pass
     where: str  # its entry in the scene
@@ -312,11 +312,11 @@ class Meter:
     _memory: PeakMemory = field(default_factory=PeakMemory)
 
     def start(self) -> None:
-        """Start the memory measurement."""
+        """Start to measure memory; before this, only time is measured."""
         self._memory.begin()
 
     def stage(self, name: str, where: str) -> StageCost:
-        """Add a stage, and return the record to which costs are charged."""
+        """Add a stage; return the record to which its time and memory are charged."""
         self.stages.append(StageCost(name, where))
         return self.stages[-1]
 

@@ -8,13 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 from animtool.core.arguments import argument
-from animtool.core.errors import (
-    AnimtoolError,
-    Fault,
-    FormatError,
-    OptionError,
-    warning,
-)
+from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError, warning
 from animtool.core.names import has_kind_suffix
 from animtool.core.options import (
     changed_options,
@@ -50,7 +44,7 @@ def source_file(source: Source) -> Path:
 
 @dataclass(frozen=True, slots=True)
 class SourceSet:
-    """The sources of a bake."""
+    """The sources of a bake: files, loaded scenes and open takes."""
 
     files: list[Path]  # files of the sources, in order
     scenes: dict[Path, Scene]  # loaded scenes that are sources, by file
@@ -105,9 +99,9 @@ class SourceSet:
         try:
             return self._open_path(path, options, source_progress)
         except FormatError as error:
-            is_uneven = any(fault.code == "USD035" for fault in error.faults)
+            is_unstorable = any(fault.code == "USD035" for fault in error.faults)
             keeps_placement = options.rig_layer is None or options.placement is not None
-            if keeps_placement or not is_uneven:
+            if keeps_placement or not is_unstorable:
                 raise
             # If the rig has the same transform, the layer loses nothing.
             without_placement = replace(options, placement="drop")
@@ -152,7 +146,9 @@ def source_set(sources: Sequence[Source]) -> SourceSet:
     """Return the sources and their files; scenes are loaded."""
     files = [source_file(source) for source in sources]
     scenes: dict[Path, Scene] = {}
-    takes = [each.stream if isinstance(each, OpenTake) else None for each in sources]
+    takes = [
+        source.stream if isinstance(source, OpenTake) else None for source in sources
+    ]
     for path, source in zip(files, sources, strict=True):
         if not isinstance(source, Path | str | OpenTake):
             scenes[path] = source
@@ -164,24 +160,24 @@ def source_set(sources: Sequence[Source]) -> SourceSet:
 
 
 def check_options(
-    options: BakeOptions, *, to_stdout: bool, simulated: bool = False
+    options: BakeOptions, *, is_stdout: bool, has_systems: bool = False
 ) -> None:
-    """Raise `OptionError` if options exclude each other.
+    """Raise an error with every pair of options that exclude each other (CLI002).
 
-    This depends on whether the output is stdout, and whether systems are written.
+    Some exclude output to stdout, or need an output with systems.
     """
     form = options.form or ("layer" if options.rig_layer else "stage")
     clashes = [
         *_layer_clashes(options, form),
-        *(_library_clashes(options, to_stdout=to_stdout) if form == "library" else ()),
+        *(_library_clashes(options, is_stdout=is_stdout) if form == "library" else ()),
     ]
-    if form == "split" and to_stdout:
+    if form == "split" and is_stdout:
         clashes.append(f"{argument('form', 'split')} writes three files, not stdout")
     clashes += clash_messages(options)
     clashes += _shot_clashes(options, form)
     clashes += _deform_clashes(options, form)
-    clashes += _chunk_clashes(options, to_stdout=to_stdout, simulated=simulated)
-    if options.keep_stopped and not simulated:
+    clashes += _chunk_clashes(options, is_stdout=is_stdout, has_systems=has_systems)
+    if options.keep_stopped and not has_systems:
         clashes.append(f"{argument('keep_stopped', True)} needs a scene with systems")
     if clashes:
         raise OptionError([Fault("CLI002", message) for message in clashes])
@@ -198,9 +194,9 @@ def _layer_clashes(options: BakeOptions, form: str) -> Iterator[str]:
         yield from dict.fromkeys(filter(None, reasons))
 
 
-def _library_clashes(options: BakeOptions, *, to_stdout: bool) -> Iterator[str]:
+def _library_clashes(options: BakeOptions, *, is_stdout: bool) -> Iterator[str]:
     """Yield messages about options that a take of a library cannot use."""
-    flags = [argument("output", "-")] if to_stdout else []
+    flags = [argument("output", "-")] if is_stdout else []
     for flag in (*flags, *refused_options(options, "library")):
         yield f"a take of a library cannot use {flag}"
 
@@ -222,16 +218,16 @@ def _shot_clashes(options: BakeOptions, form: str) -> Iterator[str]:
 
 
 def _chunk_clashes(
-    options: BakeOptions, *, to_stdout: bool, simulated: bool
+    options: BakeOptions, *, is_stdout: bool, has_systems: bool
 ) -> Iterator[str]:
     """Yield messages about options that clash with chunks."""
     chunk = argument("chunk")
     if options.chunk is None:
         return
-    if not (options.deform or simulated):
+    if not (options.deform or has_systems):
         yield f"{chunk} needs {argument('deform', True)}, or a scene with systems"
         return
-    if to_stdout:
+    if is_stdout:
         yield f"{chunk} writes several files, not stdout"
     if options.chunk < 1:
         yield f"{chunk} needs at least 1 sample per file, not {options.chunk}"
@@ -279,7 +275,7 @@ def default_output(source: Path) -> Path:
     return source.with_name(f"{source_stem(source)}.usdc")
 
 
-def form_of(options: BakeOptions) -> LayerForm:
+def layer_form(options: BakeOptions) -> LayerForm:
     """Return the form of the output layer that the options request."""
     return LayerForm(
         options.form or (LayerForm.LAYER if options.rig_layer else LayerForm.STAGE)
@@ -288,7 +284,7 @@ def form_of(options: BakeOptions) -> LayerForm:
 
 def check_package(path: Path, options: BakeOptions) -> None:
     """Raise OUT004 for a package if the options write several files or add to one."""
-    form = form_of(options)
+    form = layer_form(options)
     refused_form = {
         LayerForm.SPLIT: argument("form", "split"),
         LayerForm.LIBRARY: argument("form", "library"),
@@ -302,19 +298,19 @@ def check_package(path: Path, options: BakeOptions) -> None:
 
 
 def output_files(
-    path: Path, options: BakeOptions, *, simulated: bool = False
+    path: Path, options: BakeOptions, *, has_systems: bool = False
 ) -> list[Path]:
     """Return the files to write, including existing chunk files that may be replaced.
 
     With ``simulated``, these include chunks of systems.
     """
-    files = output_paths(path, form_of(options))
+    files = output_paths(path, layer_form(options))
     if options.chunk is None:
         return files
     from animtool.usd.layers.chunks import point_clip_files, system_clip_files
 
     file_sets = [point_clip_files(path)] if options.deform else []
-    file_sets += [system_clip_files(path)] if simulated else []
+    file_sets += [system_clip_files(path)] if has_systems else []
     for file_set in file_sets:
         files += [file_set.manifest, *file_set.existing_chunks()]
     return files

@@ -21,7 +21,7 @@ from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, OutputEntry, check_outline
-from animtool.scene.bake.reading import form_of
+from animtool.scene.bake.reading import layer_form
 from animtool.scene.file.entries import ScenePass, SceneProp, SceneSystem
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import fitting_options, open_source
@@ -29,7 +29,7 @@ from animtool.usd.layers.jobs import LayerForm
 
 
 class StepKind(StrEnum):
-    """Kind of a step."""
+    """Kind of a step of a bake; the value is its name in reports."""
 
     SOURCE = "source"
     PROP = "beside"
@@ -52,7 +52,7 @@ class PlanStep:
 
 @dataclass(frozen=True, slots=True)
 class PlanSteps:
-    """The steps of a bake in order."""
+    """The steps of a bake in order, as ``bake --plan`` prints them."""
 
     steps: list[PlanStep]
     json_keys: ClassVar[str] = "'plan' steps"
@@ -77,8 +77,10 @@ def bake_steps(outline: Outline) -> list[PlanStep]:
     assert take_state is not None
     steps += [] if scene is None else _system_steps(scene, outputs)
     for entry in outputs:
-        systems = len(_system_names(entry))
-        steps.append(_output_step(entry, replace(take_state, systems=systems)))
+        system_count = len(_system_names(entry))
+        steps.append(
+            _output_step(entry, replace(take_state, system_count=system_count))
+        )
     return steps
 
 
@@ -93,7 +95,7 @@ class _TakeState:
     summary: tuple[str, ...]  # number of frames and tracks
     static_texts: tuple[str, ...]  # static tracks
     tracks: tuple[Track, ...] = ()  # props and other tracks
-    systems: int = 0  # number of systems simulated with it
+    system_count: int = 0  # number of systems simulated with it
 
     @staticmethod
     def of(stream: TakeStream) -> _TakeState:
@@ -102,14 +104,14 @@ class _TakeState:
         motion, rig = take.motion, take.rig
         frames = counted(take.clock.count, "frame")
         parts = {TakePart.RIG, TakePart.CLOCK, TakePart.JOINTS}
-        facts = [f"{frames} at {rate_label(take.clock.rate)}"]
-        facts.append(counted(len(rig.joints), "joint"))
+        summary_texts = [f"{frames} at {rate_label(take.clock.rate)}"]
+        summary_texts.append(counted(len(rig.joints), "joint"))
         if motion.weights is not None:
             parts.add(TakePart.SHAPES)
-            facts.append(counted(len(rig.shapes), "shape"))
+            summary_texts.append(counted(len(rig.shapes), "shape"))
         if motion.controls is not None:
             parts.add(TakePart.CONTROLS)
-            facts.append(counted(len(rig.controls), "control"))
+            summary_texts.append(counted(len(rig.controls), "control"))
         if take.tracks:
             parts.add(TakePart.TRACKS)
         return _TakeState(
@@ -117,7 +119,7 @@ class _TakeState:
             frozenset(parts),
             tuple(stream.control_curves),
             "",
-            tuple(facts),
+            tuple(summary_texts),
             tuple(_static_tracks(motion)),
             take.tracks,
         )
@@ -137,10 +139,12 @@ def _static_tracks(motion: Motion) -> Iterator[str]:
             if name == "scales":
                 yield "scales: nothing is scaled"
             continue
-        static = len(channel.rest) - len(channel.animated)
-        if static:
-            phrase = "never moves: it is" if static == 1 else "never move: they are"
-            yield f"samples of {counted(static, noun)} that {phrase} stored once"
+        static_count = len(channel.rest) - len(channel.animated)
+        if static_count:
+            phrase = (
+                "never moves: it is" if static_count == 1 else "never move: they are"
+            )
+            yield f"samples of {counted(static_count, noun)} that {phrase} stored once"
 
 
 def _source_step(path: Path, key: str, state: _TakeState) -> PlanStep:
@@ -162,27 +166,31 @@ def _scene_steps(scene: Scene, steps: list[PlanStep]) -> _TakeState:
     tracks = {track.path: track for track in state.tracks}
     for prop in scene.props:
         steps.append(_prop_step(prop, tracks[prop.path]))
-    for entry in scene.passes:
-        steps.append(_pass_step(scene, entry, state))
-        if state.curves and not state.curve_dropping_pass and _drops_curves(entry):
-            state = replace(state, curve_dropping_pass=entry.pass_.name)
-        if TakePart.CLOCK in entry.pass_.changes:
+    for scene_pass in scene.passes:
+        steps.append(_pass_step(scene, scene_pass, state))
+        if state.curves and not state.curve_dropping_pass and _drops_curves(scene_pass):
+            state = replace(state, curve_dropping_pass=scene_pass.pass_.name)
+        if TakePart.CLOCK in scene_pass.pass_.changes:
             state = replace(state, summary=())
-        state = replace(state, valued_parts=state.valued_parts | _added_parts(entry))
+        state = replace(
+            state, valued_parts=state.valued_parts | _added_parts(scene_pass)
+        )
     return state
 
 
 def _system_names(entry: OutputEntry) -> list[str]:
     """Return the names of the systems that an output contains."""
     systems = () if entry.scene is None else entry.scene.systems
-    return [system.name for system in systems if system.written]
+    return [system.name for system in systems if system.is_written]
 
 
 def _system_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
     """Return the steps of an output's systems and of the systems they depend on."""
     scenes = (entry.scene for entry in outputs if entry.scene is not None)
     names = {system.name for output_scene in scenes for system in output_scene.systems}
-    return [_system_step(scene, each) for each in scene.systems if each.name in names]
+    return [
+        _system_step(scene, system) for system in scene.systems if system.name in names
+    ]
 
 
 def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
@@ -190,7 +198,7 @@ def _system_step(scene: Scene, system: SceneSystem) -> PlanStep:
     # The scene's own character is in the scene's file.
     reads = tuple(name for name in setup.reads if name != scene.path.name)
     reads += ("the character",) if scene.path in setup.files else ()
-    return PlanStep(StepKind.SYSTEM, system.name, key, reads, (setup.result_text,))
+    return PlanStep(StepKind.SYSTEM, system.name, key, reads, (setup.summary,))
 
 
 def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanStep]:
@@ -198,19 +206,19 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanS
     steps = _system_steps(scene, outputs)
     for entry in outputs:
         prims = listed(_system_names(entry))
-        result = f"{LayerForm.STAGE} with {prims}, their points and velocities"
-        steps.append(_written_step(entry, ["systems"], result, []))
+        result_text = f"{LayerForm.STAGE} with {prims}, their points and velocities"
+        steps.append(_written_step(entry, ["systems"], result_text, []))
     return steps
 
 
 def _written_step(
-    entry: OutputEntry, reads: list[str], result: str, left_out: Iterable[str]
+    entry: OutputEntry, reads: list[str], result_text: str, left_out: Iterable[str]
 ) -> PlanStep:
     """Return the step of an output, with its files added to the result."""
     key = "" if entry.scene is None else entry.scene.outputs[0].location.where
     # Existing files are marked; without a file it is stdout.
     files = [f"{file} (exists)" if file.exists() else str(file) for file in entry.files]
-    results = (result, *(files or ["stdout"]))
+    results = (result_text, *(files or ["stdout"]))
     return PlanStep(
         StepKind.OUTPUT, entry.name, key, tuple(reads), results, tuple(left_out)
     )
@@ -220,63 +228,67 @@ def _prop_step(prop: SceneProp, track: Track) -> PlanStep:
     results = [f"{track.type_name or 'what is referred to'} at {prop.path}"]
     if track.attributes:
         results.append(", ".join(attribute.name for attribute in track.attributes))
-    omitted = []
+    omitted_parts = []
     if not track.is_animated:
-        omitted.append("samples: it never moves, and is stored once")
-    if not prop.retimed:
-        omitted.append("changes of time by passes: it is not retimed")
+        omitted_parts.append("samples: it never moves, and is stored once")
+    if not prop.is_retimed:
+        omitted_parts.append("changes of time by passes: it is not retimed")
     if track.reference is None and track.type_name == "Xform":
-        omitted.append("geometry: not requested (reference)")
+        omitted_parts.append("geometry: not requested (reference)")
     return PlanStep(
         StepKind.PROP,
         f"{prop.prim} of {prop.file}",
         prop.location.where,
         (str(prop.file),),
         tuple(results),
-        tuple(omitted),
+        tuple(omitted_parts),
     )
 
 
-def _drops_curves(entry: ScenePass) -> bool:
+def _drops_curves(scene_pass: ScenePass) -> bool:
     """Return whether a pass may remove the curves of controls."""
     # Whether its time steps are even does not depend on the frames.
     example_clock = Clock(Fraction(24), Fraction(1), Fraction(1), 1)
-    if entry.pass_.linear_time(entry.options, example_clock) is not None:
+    if scene_pass.pass_.linear_time(scene_pass.options, example_clock) is not None:
         return False
-    return bool(entry.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
+    return bool(scene_pass.pass_.changes & {TakePart.CONTROLS, TakePart.CLOCK})
 
 
-def _added_parts(entry: ScenePass) -> frozenset[TakePart]:
+def _added_parts(scene_pass: ScenePass) -> frozenset[TakePart]:
     """Return the parts that a take has only after a pass."""
-    return (entry.pass_.changes - entry.pass_.reads) & {TakePart.POINTS}
+    return (scene_pass.pass_.changes - scene_pass.pass_.reads) & {TakePart.POINTS}
 
 
-def _pass_step(scene: Scene, entry: ScenePass, state: _TakeState) -> PlanStep:
-    options = entry.options
+def _pass_step(scene: Scene, scene_pass: ScenePass, state: _TakeState) -> PlanStep:
+    options = scene_pass.options
     files = [
         str(value)
         for field in fields(options)
         if isinstance(value := getattr(options, field.name), Path)
     ]
     available_parts = state.valued_parts | {TakePart.RIG, TakePart.CLOCK}
-    if not handles_tracks(entry.pass_):
+    if not handles_tracks(scene_pass.pass_):
         available_parts -= {TakePart.TRACKS}
-    omitted = []
-    if scene.preroll is not None and not entry.pass_.needs_preroll:
-        omitted.append("pre-roll: it has no state that would settle")
-    missing_parts = sorted((entry.pass_.reads & entry.pass_.changes) - available_parts)
-    omitted += [f"{take_part}: the take has none" for take_part in missing_parts]
-    if state.curves and not state.curve_dropping_pass and _drops_curves(entry):
-        omitted.append("curves of controls: invalid where it changes these")
-    read_parts = _part_names(entry.pass_.reads & available_parts)
-    changed_parts = (entry.pass_.changes & available_parts) | _added_parts(entry)
+    omitted_parts = []
+    if scene.preroll is not None and not scene_pass.pass_.needs_preroll:
+        omitted_parts.append("pre-roll: it has no state that would settle")
+    missing_parts = sorted(
+        (scene_pass.pass_.reads & scene_pass.pass_.changes) - available_parts
+    )
+    omitted_parts += [f"{take_part}: the take has none" for take_part in missing_parts]
+    if state.curves and not state.curve_dropping_pass and _drops_curves(scene_pass):
+        omitted_parts.append("curves of controls: invalid where it changes these")
+    read_parts = _part_names(scene_pass.pass_.reads & available_parts)
+    changed_parts = (scene_pass.pass_.changes & available_parts) | _added_parts(
+        scene_pass
+    )
     return PlanStep(
         StepKind.PASS,
-        entry.pass_.name,
-        entry.location.where,
-        (*files, *map(str, entry.files), *read_parts),
+        scene_pass.pass_.name,
+        scene_pass.location.where,
+        (*files, *map(str, scene_pass.files), *read_parts),
         tuple(_part_names(changed_parts)),
-        tuple(omitted),
+        tuple(omitted_parts),
     )
 
 
@@ -288,43 +300,47 @@ def _output_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     if not entry.is_stage:
         return _file_step(entry, state)
     options = entry.options
-    form = form_of(options)
+    form = layer_form(options)
     reads = ["take"]
     if options.rig_layer is not None:
         reads.insert(0, str(options.rig_layer))
-    result = "deformed points" if options.deform else "an animation of the skeleton"
+    result_text = (
+        "deformed points" if options.deform else "an animation of the skeleton"
+    )
     if form is LayerForm.LIBRARY:
-        result += " as a take, next to the existing ones,"
+        result_text += " as a take, next to the existing ones,"
     if state.tracks:
-        result += f" and {counted(len(state.tracks), 'prop')} with it"
-    if state.systems:
-        result += f" and {counted(state.systems, 'system')}"
-    omitted = _omitted_parts(options, form, state)
-    return _written_step(entry, reads, f"{form} with {result}", omitted)
+        result_text += f" and {counted(len(state.tracks), 'prop')} with it"
+    if state.system_count:
+        result_text += f" and {counted(state.system_count, 'system')}"
+    omitted_parts = _omitted_parts(options, form, state)
+    return _written_step(entry, reads, f"{form} with {result_text}", omitted_parts)
 
 
 def _file_step(entry: OutputEntry, state: _TakeState) -> PlanStep:
     """Return the step of an output that is not USD."""
     writer = take_writer(entry.path)
     noun = "keys have" if writer is CLIP else f"a {writer.name.upper()} has"
-    omitted = []
+    omitted_parts = []
     if state.tracks:
         track_text = counted(len(state.tracks), "thing")
-        omitted.append(f"{track_text} with it: {noun} no place")
-    if state.systems:
-        omitted.append(f"{counted(state.systems, 'system')}: they are points")
+        omitted_parts.append(f"{track_text} with it: {noun} no place")
+    if state.system_count:
+        omitted_parts.append(
+            f"{counted(state.system_count, 'system')}: they are points"
+        )
     contents = {
         "shapes": TakePart.SHAPES in state.valued_parts,
         "meshes": bool(state.rig.meshes),
     }
-    omitted += [
+    omitted_parts += [
         f"{content}: {noun} no place for them"
         for content, is_present in contents.items()
         if is_present and content not in writer.holds
     ]
     if state.curves and writer is CLIP:
-        omitted.append("curves of controls: keys are fitted to the samples again")
-    return _written_step(entry, ["take"], writer.samples, omitted)
+        omitted_parts.append("curves of controls: keys are fitted to the samples again")
+    return _written_step(entry, ["take"], writer.samples, omitted_parts)
 
 
 def _omitted_parts(

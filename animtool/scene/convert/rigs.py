@@ -32,7 +32,7 @@ from animtool.scene.sources.onto_rig import open_rig
 
 @dataclass(frozen=True, slots=True)
 class RigReport:
-    """Report of a rig conversion."""
+    """Report of a rig conversion: its files, and counts of the rig's parts."""
 
     outputs: list[Path]  # the files written
     joints: int  # joints of the rig
@@ -83,7 +83,7 @@ def convert_rig(
 
 @dataclass(frozen=True, slots=True)
 class RigJob:
-    """A rig to write, and the arguments of `convert_rig`."""
+    """Arguments of `convert_rig`, as writers of rigs take them."""
 
     source: Path
     output: Path
@@ -103,14 +103,17 @@ def rig_outputs(output: Path, *, physics: bool = False) -> list[Path]:
 
 
 def _rig_report(
-    rig: Rig, outputs: list[Path], notices: list[Fault], physics: int | None = None
+    rig: Rig,
+    outputs: list[Path],
+    notices: list[Fault],
+    physics_prim_count: int | None = None,
 ) -> RigReport:
     counts = len(rig.joints), len(rig.meshes), len(rig.shapes), len(rig.controls)
-    return RigReport(outputs, *counts, physics, notices)
+    return RigReport(outputs, *counts, physics_prim_count, notices)
 
 
 def rig_to_file(job: RigJob) -> RigReport:
-    """Write a rig file and its arrays."""
+    """Read a rig of any format, and write a rig file and its arrays."""
     if job.physics:
         message = f"{argument('physics')} needs a USD file as output"
         raise OptionError(Fault("CLI004", message, str(job.output)))
@@ -141,12 +144,12 @@ class RigFile:
 
 def rig_file(rig: Rig, output: Path, source: Path) -> RigFile:
     """Return the rig file of a rig that was read from another format."""
-    stem = output.name
+    stem_of_name = output.name
     for suffix in kind_suffixes("rig"):
-        stem = stem.removesuffix(suffix)
-    arrays_path = output.with_name(f"{stem}.npz")
-    changes_folder = source.resolve().parent != output.resolve().parent
-    rig, arrays = with_array_file(rig, arrays_path, copies_all=changes_folder)
+        stem_of_name = stem_of_name.removesuffix(suffix)
+    arrays_path = output.with_name(f"{stem_of_name}.npz")
+    is_other_folder = source.resolve().parent != output.resolve().parent
+    rig, arrays = with_array_file(rig, arrays_path, copies_all=is_other_folder)
     return RigFile(rig, arrays, [arrays_path, output] if arrays else [output])
 
 

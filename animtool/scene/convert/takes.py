@@ -69,14 +69,14 @@ def convert(
     """
     output = Path(output)
     writer = take_writer(output)
-    keys = {"reduce": reduce, "reduce_at": reduce_at, "base": base}
-    for name, value in keys.items():
+    key_options = {"reduce": reduce, "reduce_at": reduce_at, "base": base}
+    for name, value in key_options.items():
         if value and "reduce" not in writer.options:
             raise OptionError(key_option_fault(argument(name), output))
-    settings = _conversion_options(options, overwrite=overwrite, strict=strict)
-    settings = replace(settings, reduce=reduce, reduce_at=reduce_at)
+    bake_options = _conversion_options(options, overwrite=overwrite, strict=strict)
+    bake_options = replace(bake_options, reduce=reduce, reduce_at=reduce_at)
     source = source if isinstance(source, OpenTake) else Path(source)
-    outline = create_outline(source, output, settings, base=base, rig_file=rig_file)
+    outline = create_outline(source, output, bake_options, base=base, rig_file=rig_file)
     (report,) = bake_outline(outline, progress=progress)
     return _conversion_report(report, output)
 
@@ -95,8 +95,10 @@ def convert_with_passes(
     for pass_, options in passes:
         for check in pass_.checks(options).values():
             check()
-    settings = _conversion_options(source_options, overwrite=overwrite, strict=strict)
-    outline = create_outline(source, output, settings)
+    bake_options = _conversion_options(
+        source_options, overwrite=overwrite, strict=strict
+    )
+    outline = create_outline(source, output, bake_options)
     check_outline(outline)
     contexts: list[PassContext] = []
     with protect_inputs(outline.files):

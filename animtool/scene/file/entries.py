@@ -35,14 +35,14 @@ from animtool.systems.framework.spec import EntryRecord, SystemSpec
 
 @dataclass(frozen=True, slots=True)
 class EntryLocation:
-    """Location of an entry in a scene file."""
+    """Location of an entry in a scene file, to which faults are attached."""
 
     path: Path  # the file
     line: int  # 1-based
     column: int  # 1-based
     where: str  # such as ``passes[1].trim``
     # Line and column of the keys present below it.
-    keys: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
+    positions: Mapping[str, tuple[int, int]] = field(default_factory=dict, hash=False)
 
     def fault(
         self,
@@ -63,7 +63,7 @@ class EntryLocation:
         'bodies[1]'
         """
         key = fault.where or ""
-        while key and key not in self.keys:
+        while key and key not in self.positions:
             key = key[: max(key.rfind("."), key.rfind("["), 0)]
         return key or None
 
@@ -77,7 +77,7 @@ class EntryLocation:
         (line, column), key_path = (self.line, self.column), self.where
         key = self.nearest_key(fault)
         if key is not None:
-            line, column = self.keys[key]
+            line, column = self.positions[key]
             key_path = f"{key_path}.{fault.where}"
         return replace(
             fault, path=str(self.path), lines=(line,), column=column, where=key_path
@@ -85,7 +85,7 @@ class EntryLocation:
 
     @contextmanager
     def located(self) -> Iterator[None]:
-        """In a block, attach this location to faults that name no file."""
+        """Attach this location to faults without a file that a block raises."""
         try:
             yield
         except ToleranceError as error:
@@ -98,24 +98,28 @@ def entry_location(
     document: Document, location: Location, model: FileModel | None = None
 ) -> EntryLocation:
     """Return the location of an entry and of the keys that are set in its model."""
-    keys = {}
+    positions = {}
     for steps in () if model is None else _key_steps(model):
-        keys[location_text(steps)] = document.position((*location, *steps))
+        positions[location_text(steps)] = document.position((*location, *steps))
     line, column = document.position(location)
-    return EntryLocation(document.path, line, column, location_text(location), keys)
+    return EntryLocation(
+        document.path, line, column, location_text(location), positions
+    )
 
 
 def _key_steps(model: FileModel) -> Iterator[Location]:
-    """Yield the path of each key that is set in a model and in the models it holds."""
+    """Yield the location of each key set in a model, or in a model inside it."""
     for name in sorted(model.model_fields_set):
         yield (name,)
         value = getattr(model, name)
-        parts = enumerate(value) if isinstance(value, list) else [(None, value)]
-        for index, part in parts:
-            if isinstance(part, FileModel):
+        indexed_values = (
+            enumerate(value) if isinstance(value, list) else [(None, value)]
+        )
+        for index, inner_value in indexed_values:
+            if isinstance(inner_value, FileModel):
                 steps = (name,) if index is None else (name, index)
                 yield steps
-                yield from ((*steps, *inner) for inner in _key_steps(part))
+                yield from ((*steps, *inner) for inner in _key_steps(inner_value))
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,7 +145,7 @@ class SceneProp(PropRequest):
     frame: Fraction | None
     # Whether passes retime it with the take; otherwise it is sampled at the output's
     # frames.
-    retimed: bool
+    is_retimed: bool
     location: EntryLocation  # of the entry
 
 
@@ -155,28 +159,17 @@ class ScenePass:
     files: tuple[Path, ...] = ()  # files that its colliders follow
 
 
-@dataclass(frozen=True, slots=True)
-class SystemFacts:
-    """Size, method and step of a system, before it is simulated."""
-
-    counts: dict[str, int]  # number of elements by kind
-    method: str  # its solver or integrator
-    step: float | None  # maximum step [s]; None leaves it to the method
-    # Includes meshes of files; excludes those of characters.
-    colliders: int
-
-
 STEPS_METHOD = "steps"  # method name of kinds without methods
 
 
 @dataclass(frozen=True, slots=True)
 class SystemSetup:
-    """A system as described in its file."""
+    """The setup of a system: its spec, its colliders and its parsed entries."""
 
     spec: SystemSpec
     surroundings: Any  # its colliders, as `Surroundings`
     # Parsed entries of keys that are neither plain values nor colliders, by key.
-    parts: Mapping[str, Any] = field(default_factory=dict)
+    entries: Mapping[str, Any] = field(default_factory=dict)
     record: EntryRecord | None = None  # record that the spec builds from the parts
     location: Location = ()  # location of the entry
     carriers: tuple[Path, ...] = ()  # files of its carriers
@@ -188,10 +181,12 @@ class SystemSetup:
         return self.spec if self.record is None else self.record
 
     @property
-    def joined(self) -> tuple[tuple[str, Location], ...]:
+    def joined_systems(self) -> tuple[tuple[str, Location], ...]:
         """Names of the systems joined to it, and the location of each name."""
-        joined = () if self.record is None else self.record.joined_systems
-        return tuple((n, (*self.location, *parse_location(key))) for n, key in joined)
+        joined_names = () if self.record is None else self.record.joined_systems
+        return tuple(
+            (n, (*self.location, *parse_location(key))) for n, key in joined_names
+        )
 
     @property
     def writes(self) -> tuple[str, ...]:
@@ -209,12 +204,12 @@ class SystemSetup:
 
     @property
     def reads(self) -> tuple[str, ...]:
-        """Descriptions of everything that acts on the system."""
+        """Descriptions of what acts on the system, for reports and plans."""
         return (*self._description_source.reads, *self.surroundings.reads)
 
     @property
-    def result_text(self) -> str:
-        """Description of the result, with method and step."""
+    def summary(self) -> str:
+        """Title of the system with its method and step, for plans."""
         method_text = "" if self.method == STEPS_METHOD else f" by {self.method}"
         steps = "" if self.spec.step is None else f" in steps of {self.spec.step:g} s"
         return f"{self._description_source.title},{method_text}{steps}"
@@ -225,10 +220,9 @@ class SystemSetup:
         return str(getattr(self.spec, self.spec.method_key, STEPS_METHOD))
 
     @property
-    def facts(self) -> SystemFacts:
-        """Size, method and step of the system."""
-        counts, step = self._description_source.counts, self.spec.step
-        return SystemFacts(counts, self.method, step, self.surroundings.count)
+    def counts(self) -> dict[str, int]:
+        """Number of elements of the system by kind, before it is simulated."""
+        return self._description_source.counts
 
 
 @dataclass(frozen=True, slots=True)
@@ -239,7 +233,7 @@ class SceneSystem:
     kind: str  # key of `SYSTEM_KINDS`
     setup: SystemSetup
     location: EntryLocation
-    written: bool = True  # whether it is written; otherwise another system needs it
+    is_written: bool = True  # whether it is written; otherwise another system needs it
     # Unit of lengths that the scene states for its entry; None if not stated.
     unit: LengthUnit | None = None
 

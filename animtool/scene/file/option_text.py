@@ -1,4 +1,4 @@
-"""Options of a bake, parsed from text."""
+"""Parsers of option texts: frame ranges, offsets, time codes and rest poses."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from animtool.core.rates import MAX_FRAME, FractionLike, exact_number
 from animtool.core.shot import FrameList, FrameRange
 
 # First, last and step of a range in the notation of other tools.
-_FOREIGN_RANGE = re.compile(
+_OTHER_RANGE_PATTERN = re.compile(
     r"(-?\d{1,9})\s*[-,:;. ]+\s*(-?\d{1,9})(?:\s*[,:;x ]+\s*(\d{1,9}))?"
 )
-_RANGE = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
+_RANGE_PATTERN = re.compile(r"(-?\d{1,9})(?:-(-?\d{1,9})(?:x(\d{1,9}))?)?")
 
 
 def parse_frame_range(text: str) -> FrameRange:
@@ -22,9 +22,9 @@ def parse_frame_range(text: str) -> FrameRange:
     >>> parse_frame_range("1-240x2")
     FrameRange(first=1, last=240, step=2)
     """
-    match = _RANGE.fullmatch(text.strip())
+    match = _RANGE_PATTERN.fullmatch(text.strip())
     if match is None:
-        foreign_match = _FOREIGN_RANGE.fullmatch(text.strip())
+        foreign_match = _OTHER_RANGE_PATTERN.fullmatch(text.strip())
         suggestion = "1-240 or 1-240x2"
         if foreign_match is not None:
             first, last, step = foreign_match.groups()
@@ -78,7 +78,7 @@ def parse_offsets(text: str) -> tuple[Fraction, ...]:
 
 
 def _unit_hint(text: str) -> str:
-    """Return how to write offsets that are given in degrees or percent.
+    """Return a hint for offsets that look like degrees or percent; else "".
 
     >>> _unit_hint("-90,0,90"), _unit_hint("-20,20")
     ('; for degrees of a shutter write -0.25,0,0.25', '; for percent write -0.2,0.2')
@@ -88,10 +88,12 @@ def _unit_hint(text: str) -> str:
     except (ValueError, ArithmeticError):
         return ""
     largest = max(map(abs, numbers))
-    full, unit = (360, "degrees of a shutter") if largest >= 45 else (100, "percent")
-    if not 2 <= largest < full:
+    full_value, unit = (
+        (360, "degrees of a shutter") if largest >= 45 else (100, "percent")
+    )
+    if not 2 <= largest < full_value:
         return ""
-    offsets_text = ",".join(f"{float(number / full):.4g}" for number in numbers)
+    offsets_text = ",".join(f"{float(number / full_value):.4g}" for number in numbers)
     return f"; for {unit} write {offsets_text}"
 
 

@@ -32,7 +32,7 @@ class KeyReader:
 
     document: Document
     roots: tuple[Path, ...]  # folders that may contain files
-    code: str  # code for an invalid value
+    rule_code: str  # code for an invalid value
 
     def parse_value(
         self, location: Location, value: Any, parse: Callable[[Any], ParsedT]
@@ -43,7 +43,9 @@ class KeyReader:
         try:
             return parse(value)
         except ValueError as error:
-            self.document.add(getattr(error, "code", self.code), location, str(error))
+            self.document.add(
+                getattr(error, "code", self.rule_code), location, str(error)
+            )
             return None
 
     def read_file(self, location: Location, name: str) -> Path:
@@ -51,14 +53,14 @@ class KeyReader:
         return resolve_input(self.document, location, name, self.roots) or Path(name)
 
 
-def option_keys(
+def option_values(
     record: type[Any],
     model: FileModel,
     file_kind: FileKind,
     location: Location,
     reader: KeyReader,
 ) -> dict[str, Any]:
-    """Return the arguments of an options record that a model's keys set.
+    """Return the values of options that keys of a model set, by option name.
 
     ``model`` has the fields of the record by `with_fields`, at a location in its file.
     """
@@ -67,14 +69,16 @@ def option_keys(
         alias = key.alias or name
         value = getattr(model, alias)
         if value is not None:
-            value = _value(options[name].kind, value, (*location, alias), reader)
+            value = _read_option(options[name].kind, value, (*location, alias), reader)
         if value is not None:
             values[name] = value
     return values
 
 
-def _value(kind: OptionKind, value: Any, location: Location, reader: KeyReader) -> Any:
-    """Return the value of a key; None with a recorded fault if it is invalid."""
+def _read_option(
+    kind: OptionKind, value: Any, location: Location, reader: KeyReader
+) -> Any:
+    """Parse the value of a key; return None, with a fault, if it is invalid."""
     if kind == "file":
         return reader.read_file(location, value)
     if kind == "lengths":
@@ -108,28 +112,28 @@ _PARSERS: dict[OptionKind, Callable[[Any], Any]] = {
 
 
 class OutputReader:
-    """Reads the outputs of a scene.
+    """Reads the outputs of a scene, its shot and its pre-roll.
 
     Attributes:
         start: Time code of the first frame; None if not stated.
     """
 
     def __init__(
-        self, keys: KeyReader, model: SceneModel, output_roots: Sequence[Path]
+        self, reader: KeyReader, model: SceneModel, output_roots: Sequence[Path]
     ) -> None:
-        self._keys, self._model, self._roots = keys, model, output_roots
+        self._reader, self._model, self._roots = reader, model, output_roots
         start = None if model.shot is None else model.shot.start
         self.start = None if start is None else Fraction(start)
 
     @property
     def _document(self) -> Document:
-        return self._keys.document
+        return self._reader.document
 
     def _fps(self) -> Fraction | None:
-        return self._keys.parse_value(("fps",), self._model.fps, parse_rate)
+        return self._reader.parse_value(("fps",), self._model.fps, parse_rate)
 
     def preroll(self) -> Preroll | None:
-        """Return the number of frames before the shot, if stated."""
+        """Return the pre-roll of the shot; None if the scene states none."""
         shot, frames = self._model.shot, self._shot()
         if shot is None or frames is None or not shot.preroll:
             return None
@@ -175,25 +179,27 @@ class OutputReader:
         writer = None if path is None else writer_of(path)
         if writer is not None and not writer.stage:
             self._check_keys(entry_path, model, writer)
-        keys = option_keys(BakeOptions, model, "scene", entry_path, self._keys)
-        if "take" in keys and keys.get("form") != "library":
+        options = option_values(BakeOptions, model, "scene", entry_path, self._reader)
+        if "take" in options and options.get("form") != "library":
             message, hint = "take applies to a take of a library", "write as: library"
             self._document.add("SCN039", (*entry_path, "take"), message, hint)
-        if "start" not in keys and self.start is not None:
-            keys["start"] = self.start
-        bake = BakeOptions(fps=fps, frame_range=frames, shot=self._shot(), **keys)
+        if "start" not in options and self.start is not None:
+            options["start"] = self.start
+        bake = BakeOptions(fps=fps, frame_range=frames, shot=self._shot(), **options)
         systems = None if model.systems is None else tuple(model.systems)
-        key = (*entry_path, "systems")
+        key_path = (*entry_path, "systems")
         if systems is not None:
-            check_names(self._document, key, systems, self._model.system_names)
+            check_names(self._document, key_path, systems, self._model.system_names)
         if systems == () and self._model.source is None:
             message = "nothing would be written: it includes no system"
-            self._document.add("SCN081", key, message, "remove systems to write all")
+            self._document.add(
+                "SCN081", key_path, message, "remove systems to write all"
+            )
         location = entry_location(self._document, entry_path, model)
         return SceneOutput(path, bake, location, systems)
 
     def _file(self, location: Location, name: str) -> Path:
-        """Return the path of a file to write."""
+        """Return the path of a file to write; record a fault outside the roots."""
         reference = (self._document, location, name, self._roots)
         return resolve_reference(*reference, is_output=True) or Path(name)
 

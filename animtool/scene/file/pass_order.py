@@ -18,25 +18,25 @@ _FIRST_NAME = re.compile(r"'([^']+)'")
 
 @contextmanager
 def with_order_hints(
-    passes: Sequence[ScenePass], entry: ScenePass, folder: Path
+    passes: Sequence[ScenePass], scene_pass: ScenePass, folder: Path
 ) -> Iterator[None]:
-    """In a block, add a hint to faults about names that only a later pass provides.
+    """Add a hint to faults in a block about names that a later pass provides.
 
     The block applies the pass ``entry``. Paths are relative to ``folder``.
     """
     try:
         yield
     except (FormatError, OptionError) as error:
-        rigs = list(_later_rigs(passes, entry, folder))
-        faults = [_with_move_hint(fault, entry, rigs) for fault in error.faults]
+        rigs = list(_later_rigs(passes, scene_pass, folder))
+        faults = [_with_move_hint(fault, scene_pass, rigs) for fault in error.faults]
         raise type(error)(faults) from error
 
 
 def _later_rigs(
-    passes: Sequence[ScenePass], entry: ScenePass, folder: Path
+    passes: Sequence[ScenePass], scene_pass: ScenePass, folder: Path
 ) -> Iterator[Rig]:
     """Yield the rigs of later retarget passes; skip rigs that cannot be read."""
-    for later_pass in passes[passes.index(entry) + 1 :]:
+    for later_pass in passes[passes.index(scene_pass) + 1 :]:
         if later_pass.pass_.name == "retarget" and later_pass.options.rig is not None:
             try:
                 yield open_rig(folder / later_pass.options.rig)[0]
@@ -44,13 +44,16 @@ def _later_rigs(
                 continue
 
 
-def _with_move_hint(fault: Fault, entry: ScenePass, rigs: Sequence[Rig]) -> Fault:
+def _with_move_hint(fault: Fault, scene_pass: ScenePass, rigs: Sequence[Rig]) -> Fault:
     """Return a fault with a hint at the first rig that has the unknown name."""
-    name = _FIRST_NAME.search(fault.message)
+    name_match = _FIRST_NAME.search(fault.message)
     for rig in rigs:
-        groups = (rig.chains, rig.shapes, rig.controls, rig.attach)
-        names = {*rig.names, *(element.name for group in groups for element in group)}
-        if name and name[1] in names:
-            hint = f"{rig.name!r} has it: move {entry.pass_.name} below retarget"
+        named_elements = (rig.chains, rig.shapes, rig.controls, rig.attach)
+        names = {
+            *rig.names,
+            *(element.name for group in named_elements for element in group),
+        }
+        if name_match and name_match[1] in names:
+            hint = f"{rig.name!r} has it: move {scene_pass.pass_.name} below retarget"
             return replace(fault, hint=hint)
     return fault

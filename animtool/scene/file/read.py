@@ -18,7 +18,7 @@ from animtool.core.writers import writes_stage
 from animtool.documents.check import (
     FileModel,
     check_version,
-    record_of_options,
+    record_from_options,
     rename_options,
     validate_document,
 )
@@ -33,7 +33,7 @@ from animtool.scene.file.entries import (
     SceneSystem,
     entry_location,
 )
-from animtool.scene.file.output_fields import KeyReader, OutputReader, option_keys
+from animtool.scene.file.output_fields import KeyReader, OutputReader, option_values
 from animtool.scene.file.schema import (
     PropModel,
     SceneModel,
@@ -75,30 +75,32 @@ def load_scene(
     Raises:
         FormatError: With every fault of the file, each with line and column.
     """
-    return scene_of_document(read_document(Path(path)), variables, parts=parts)
+    return parse_scene(read_document(Path(path)), variables, parts=parts)
 
 
-def scene_of_document(
+def parse_scene(
     document: Document,
     variables: Mapping[str, str] | None = None,
     *,
     parts: Collection[str] = (),
 ) -> Scene:
-    """Return the scene of a document; see `load_scene`."""
-    values = variables or {}
+    """Return the scene that a parsed file describes; see `load_scene`."""
+    variable_values = variables or {}
     check_version(document, "scene")
     _expand_short_forms(document)
-    keys = model_for(document.value)
-    resolved = resolve_variables(document, keys, values, parts)
-    model = validate_document(document, keys)
-    folders = {n: Path(text) for n, text in values.items() if Path(text).is_absolute()}
+    model_type = model_for(document.value)
+    resolved_variables = resolve_variables(document, model_type, variable_values, parts)
+    model = validate_document(document, model_type)
+    folders = {
+        n: Path(text) for n, text in variable_values.items() if Path(text).is_absolute()
+    }
     output_folders = [path for name, path in folders.items() if name not in parts]
     reader = _SceneReader(document, model, list(folders.values()), output_folders)
     scene = replace(
         reader.scene(),
-        variables=resolved.names,
-        idle_variables=resolved.unused,
-        effective_variables=resolved.effective,
+        variables=resolved_variables.names,
+        unused_variables=resolved_variables.unused_names,
+        effective_variables=resolved_variables.effective_names,
         notices=tuple(sorted(document.notices, key=lambda notice: notice.lines)),
     )
     if document.faults and scene.systems:
@@ -113,18 +115,20 @@ def scene_of_document(
 def _expand_short_forms(document: Document) -> None:
     """Expand ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24``."""
     value = document.value
-    expanded: dict[str, Any] = {}
+    expanded_values: dict[str, Any] = {}
     for key in ("source", "output"):
         if isinstance(value.get(key), str):
-            expanded[key] = {"file": value[key]}
-    span = value.get("range")
-    match = isinstance(span, str) and re.fullmatch(r"\s*(-?\d+)\s*-\s*(-?\d+)\s*", span)
+            expanded_values[key] = {"file": value[key]}
+    range_value = value.get("range")
+    match = isinstance(range_value, str) and re.fullmatch(
+        r"\s*(-?\d+)\s*-\s*(-?\d+)\s*", range_value
+    )
     if match:
-        expanded["range"] = [int(match[1]), int(match[2])]
-    if expanded:
+        expanded_values["range"] = [int(match[1]), int(match[2])]
+    if expanded_values:
         # Locations of values are as in the file.
         document.position(())
-        value.update(expanded)
+        value.update(expanded_values)
 
 
 def stated_rate(path: Path) -> Fraction | None:
@@ -158,18 +162,18 @@ class _SceneReader:
     ) -> None:
         self.document, self.model = document, model
         roots = project_roots(document.path)
-        self.keys = KeyReader(document, (*roots, *variable_folders), "SCN003")
+        self.reader = KeyReader(document, (*roots, *variable_folders), "SCN003")
         self.output_roots = (*roots, *output_folders)
         self.units = SceneUnits.of(model.units.length, model.units.angle)
 
     def scene(self) -> Scene:
         model = self.model
-        rig = None if model.rig is None else self.keys.read_file(("rig",), model.rig)
-        pass_reader = _PassReader(self.keys, self.output_roots, self.units)
+        rig = None if model.rig is None else self.reader.read_file(("rig",), model.rig)
+        pass_reader = _PassReader(self.reader, self.output_roots, self.units)
         passes = tuple(pass_reader.passes(model.passes))
         systems = self._systems()
         check_colliders(self.document, passes, systems, model.system_names)
-        outputs = OutputReader(self.keys, model, self.output_roots)
+        outputs = OutputReader(self.reader, model, self.output_roots)
         return Scene(
             self.document.path,
             self._sources(rig),
@@ -183,7 +187,7 @@ class _SceneReader:
         )
 
     def _systems(self) -> tuple[SceneSystem, ...]:
-        """Return the systems of the scene."""
+        """Return the systems of the scene; record faults of links between them."""
         model = self.model
         is_empty = model.source is None and not model.systems
         if is_empty and not self.document.is_placeholder(("systems",)):
@@ -204,14 +208,16 @@ class _SceneReader:
         return systems
 
     def _system(self, i: int, entry: SystemModel) -> SceneSystem | None:
-        kind = self._kind(("systems", i), entry)
+        kind = self._system_kind(("systems", i), entry)
         if kind is None:
             return None
         entry_path: Location = ("systems", i, kind)
         spec = getattr(entry, kind)
         # Loaded by name, since systems open scenes themselves.
         read_spec: Any = load_object("animtool.scene.systems.derived:read_spec")
-        setup = read_spec(self.document, entry_path, spec, self.keys.roots, self.units)
+        setup = read_spec(
+            self.document, entry_path, spec, self.reader.roots, self.units
+        )
         if setup is None:
             return None
         stated_values = spec.model_dump(exclude_unset=True, by_alias=True)
@@ -228,7 +234,7 @@ class _SceneReader:
         frames = self.model.range
         return SceneTimes(rate, None if frames is None else (frames[0], frames[1]))
 
-    def _kind(self, location: Location, entry: SystemModel) -> str | None:
+    def _system_kind(self, location: Location, entry: SystemModel) -> str | None:
         """Return the system kind that an entry names."""
         kinds = sorted(entry.model_fields_set)
         if len(kinds) == 1:
@@ -259,9 +265,9 @@ class _SceneReader:
         entries = output if isinstance(output, list) else [output]
         for i, entry in enumerate(entries):
             if entry.file and not writes_stage(Path(entry.file)):
-                index = (i,) if isinstance(output, list) else ()
+                output_index = (i,) if isinstance(output, list) else ()
                 message = f"{entry.file!r} is not a USD file, which simulations need"
-                self.document.add("SCN060", ("output", *index, "file"), message)
+                self.document.add("SCN060", ("output", *output_index, "file"), message)
 
     def _props(self) -> tuple[SceneProp, ...]:
         """Return the props of the scene; record props whose paths overlap."""
@@ -277,7 +283,7 @@ class _SceneReader:
         return tuple(props)
 
     def _prop(self, location: Location, model: PropModel) -> SceneProp:
-        file = self.keys.read_file((*location, "from"), model.file)
+        file = self.reader.read_file((*location, "from"), model.file)
         if not is_usd(file):
             message = f"{model.file!r} is not a USD file"
             self.document.add("SCN048", (*location, "from"), message)
@@ -287,7 +293,7 @@ class _SceneReader:
             self.document.add("SCN048", (*location, "path"), message)
         reference: Path | None = None
         if isinstance(model.reference, str):
-            reference = self.keys.read_file((*location, "reference"), model.reference)
+            reference = self.reader.read_file((*location, "reference"), model.reference)
         elif model.reference:
             reference = file
         return SceneProp(
@@ -297,7 +303,7 @@ class _SceneReader:
             tuple(model.attributes),
             reference,
             frame=None if model.frame is None else Fraction(repr(model.frame)),
-            retimed=model.retimed,
+            is_retimed=model.retimed,
             location=entry_location(self.document, location),
         )
 
@@ -329,8 +335,8 @@ class _SceneReader:
     def _source(
         self, location: Location, model: SourceModel, rig: Path | None
     ) -> SceneSource:
-        path = self.keys.read_file((*location, "file"), model.file)
-        keys = option_keys(SourceOptions, model, "scene", location, self.keys)
+        path = self.reader.read_file((*location, "file"), model.file)
+        keys = option_values(SourceOptions, model, "scene", location, self.reader)
         self._warn_of_rate(location, keys.get("fps"))
         tracks = None
         if model.tracks is not None:
@@ -343,7 +349,7 @@ class _SceneReader:
             entry_location(self.document, location),
             tracks,
             model.timecode,
-            self.keys.parse_value(rate_key, rate, parse_rate),
+            self.reader.parse_value(rate_key, rate, parse_rate),
         )
 
     def _warn_of_rate(self, location: Location, fps: FractionLike | None) -> None:
@@ -361,12 +367,12 @@ class _SceneReader:
 class _PassReader:
     """Reads passes; ``output_roots`` are the folders they may write to."""
 
-    keys: KeyReader
+    reader: KeyReader
     output_roots: Sequence[Path]
     units: SceneUnits
 
     def passes(self, entries: Sequence[Mapping[str, Any]]) -> Iterator[ScenePass]:
-        """Yield the passes of the entries."""
+        """Yield the passes of a scene's entries, without those with faults."""
         for i, entry in enumerate(entries):
             for name, values in entry.items():
                 pass_ = self._pass(("passes", i, name), name, values or {})
@@ -376,7 +382,7 @@ class _PassReader:
     def _pass(
         self, location: Location, name: str, values: dict[str, Any]
     ) -> ScenePass | None:
-        document = self.keys.document
+        document = self.reader.document
         try:
             pass_ = find_pass(name)
         except AnimtoolError as error:
@@ -385,16 +391,16 @@ class _PassReader:
             return None
         values = rename_options(document, location, values, "scene")
         converted_values = self.units.convert_pass_options(name, values)
-        options, faults = record_of_options(pass_.options, converted_values, name)
+        options, faults = record_from_options(pass_.options, converted_values, name)
         for key, fault in faults:
-            key_location, at_key = (*location, *key), fault.code == "SCN001"
+            key_location, is_at_key = (*location, *key), fault.code == "SCN001"
             document.add(
-                fault.code, key_location, fault.message, fault.hint, at_key=at_key
+                fault.code, key_location, fault.message, fault.hint, is_at_key=is_at_key
             )
         if options is None:
             return None
         options, files = self._with_colliders(location, options)
-        _check_pass(self.keys, location, pass_, options)
+        _check_pass(self.reader, location, pass_, options)
         for output in map(str, getattr(options, "writes", ())):
             roots = self.output_roots
             resolve_reference(document, location, output, roots, is_output=True)
@@ -419,7 +425,7 @@ class _PassReader:
         if not entries:
             return options, ()
         reader_class: Any = load_object(COLLIDER_READER_NAME)
-        reader = reader_class(self.keys.document, self.keys.roots, self.units)
+        reader = reader_class(self.reader.document, self.reader.roots, self.units)
         colliders = {
             name: reader.collision_entries(location, name, models)
             for name, models in entries.items()
@@ -429,7 +435,9 @@ class _PassReader:
         return replace(options, **colliders), files
 
 
-def _check_pass(keys: KeyReader, location: Location, pass_: Pass, options: Any) -> None:
+def _check_pass(
+    reader: KeyReader, location: Location, pass_: Pass, options: Any
+) -> None:
     """Record faults of options that do not depend on the take."""
     for option, check in pass_.checks(options).items():
         try:
@@ -437,8 +445,8 @@ def _check_pass(keys: KeyReader, location: Location, pass_: Pass, options: Any) 
         except OptionError as error:
             key_location = (*location, option)
             for fault in error.faults:
-                keys.document.add(fault.code, key_location, fault.message, fault.hint)
+                reader.document.add(fault.code, key_location, fault.message, fault.hint)
     for field in fields(pass_.options):
         value = getattr(options, field.name)
         if isinstance(value, Path):
-            keys.read_file((*location, field.name), str(value))
+            reader.read_file((*location, field.name), str(value))

@@ -25,7 +25,7 @@ from animtool.documents.fields import (
     check_numbers,
     with_fields,
 )
-from animtool.documents.forms import EntryNames
+from animtool.documents.value_hints import EntryNames
 from animtool.motion.passes import pass_names
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import SourceOptions
@@ -133,7 +133,7 @@ class SceneUnitsModel(FileModel):
 
 
 class SystemModel(FileModel):
-    """A simulation of one kind."""
+    """A simulated system, named by its kind; fields are added for each kind."""
 
 
 def _count_tag(value: Any) -> str:
@@ -196,7 +196,7 @@ class OutputModel(FileModel):
 
 
 class SceneModel(FileModel):
-    """A scene file."""
+    """The keys of a scene file."""
 
     scene: Literal["animtool/1"] = key("File type and format version.", "animtool/1")
     variables: dict[str, str | Real | bool] = key(

@@ -18,7 +18,7 @@ TRACK_KINDS = ("joints", "shapes", "controls")
 
 @dataclass(frozen=True, slots=True)
 class TrackNames:
-    """Names or patterns of the tracks that a source sets."""
+    """Names or patterns of the tracks that a source of several sets."""
 
     joints: tuple[str, ...] = ()
     shapes: tuple[str, ...] = ()
@@ -43,7 +43,7 @@ class Tracks:
         return indices
 
     def names(self, rig: Rig) -> list[str]:
-        """Return the names of the tracks."""
+        """Return the names of the selected joints, shapes and controls."""
         return [
             getattr(rig, kind)[i].name
             for kind in TRACK_KINDS
@@ -57,49 +57,51 @@ class Tracks:
 
 
 def select_tracks(
-    requested: TrackNames, names: NameMap
+    requested_names: TrackNames, name_map: NameMap
 ) -> tuple[Tracks, list[tuple[str, str, list[str]]]]:
     """Return the tracks of two rigs that match patterns, and the unmatched patterns.
 
     Each of these has its kind of track before it, and the valid names after it. Tracks
     driven by a selected control are selected too, since a motion stores their values.
     """
-    rig, unmatched = names.rig, []
-    selected: dict[str, set[int]] = {kind: set() for kind in TRACK_KINDS}
+    rig, unmatched_patterns = name_map.rig, []
+    indices_by_kind: dict[str, set[int]] = {kind: set() for kind in TRACK_KINDS}
     for kind in TRACK_KINDS:
-        mapped_indices = np.flatnonzero(getattr(names, kind) >= 0).tolist()
+        mapped_indices = np.flatnonzero(getattr(name_map, kind) >= 0).tolist()
         index_by_name = {getattr(rig, kind)[i].name: i for i in mapped_indices}
-        for pattern in getattr(requested, kind):
+        for pattern in getattr(requested_names, kind):
             indices = {i for n, i in index_by_name.items() if fnmatchcase(n, pattern)}
             if not indices:
-                unmatched.append((kind, pattern, list(index_by_name)))
-            selected[kind] |= indices
-    _add_driven(rig, selected)
-    tracks = (np.array(sorted(selected[kind]), np.int64) for kind in TRACK_KINDS)
-    return _common_tracks(Tracks(*tracks), names), unmatched
+                unmatched_patterns.append((kind, pattern, list(index_by_name)))
+            indices_by_kind[kind] |= indices
+    _add_driven_tracks(rig, indices_by_kind)
+    tracks = (np.array(sorted(indices_by_kind[kind]), np.int64) for kind in TRACK_KINDS)
+    return _common_tracks(Tracks(*tracks), name_map), unmatched_patterns
 
 
-def _add_driven(rig: Rig, selected: dict[str, set[int]]) -> None:
+def _add_driven_tracks(rig: Rig, indices_by_kind: dict[str, set[int]]) -> None:
     """Add the tracks that selected controls drive, recursively."""
-    indices: dict[str, dict[str, int]] = {}
+    index_by_name: dict[str, dict[str, int]] = {}
     for kind in TRACK_KINDS:
         elements = enumerate(getattr(rig, kind))
-        indices[kind.removesuffix("s")] = {element.name: i for i, element in elements}
-    pending_controls = sorted(selected["controls"])
+        index_by_name[kind.removesuffix("s")] = {
+            element.name: i for i, element in elements
+        }
+    pending_controls = sorted(indices_by_kind["controls"])
     while pending_controls:
         for drive in rig.controls[pending_controls.pop()].drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
                 name, _ = split_part(name, DRIVEN_PARTS)
-            index = indices[kind][name]
-            if kind == "control" and index not in selected["controls"]:
+            index = index_by_name[kind][name]
+            if kind == "control" and index not in indices_by_kind["controls"]:
                 pending_controls.append(index)
-            selected[f"{kind}s"].add(index)
+            indices_by_kind[f"{kind}s"].add(index)
 
 
-def moving_tracks(motion: Motion, names: NameMap, motion_rig: Rig) -> Tracks:
+def moving_tracks(motion: Motion, name_map: NameMap, motion_rig: Rig) -> Tracks:
     """Return the tracks of a motion that are animated or differ from the rest pose."""
-    rest_on_rig = names.apply(rest_motion(motion_rig))
+    rest_on_rig = name_map.apply(rest_motion(motion_rig))
 
     def moving_indices(kind: str) -> IntArray:
         channel: Channel | None = getattr(motion, kind)
@@ -114,7 +116,7 @@ def moving_tracks(motion: Motion, names: NameMap, motion_rig: Rig) -> Tracks:
     joints = [moving_indices(kind) for kind in ("translations", "rotations", "scales")]
     shapes, controls = moving_indices("weights"), moving_indices("controls")
     tracks = Tracks(np.unique(np.concatenate(joints)), shapes, controls)
-    return _common_tracks(tracks, names)
+    return _common_tracks(tracks, name_map)
 
 
 def rest_motion(rig: Rig) -> Motion:
@@ -124,18 +126,22 @@ def rest_motion(rig: Rig) -> Motion:
         Channel.from_dense(rig.rest_translations[None]),
         Channel.from_dense(rig.rest_rotations[None]),
         weights=Channel.from_dense(weights) if rig.shapes else None,
-        controls=Channel.from_dense(_defaults(rig)[None]) if rig.controls else None,
+        controls=Channel.from_dense(_control_defaults(rig)[None])
+        if rig.controls
+        else None,
     )
 
 
-def _defaults(rig: Rig) -> FloatArray:
+def _control_defaults(rig: Rig) -> FloatArray:
     return np.array([[control.default] for control in rig.controls])
 
 
-def _common_tracks(tracks: Tracks, names: NameMap) -> Tracks:
+def _common_tracks(tracks: Tracks, name_map: NameMap) -> Tracks:
     """Return the selected tracks that exist in both rigs of a name map."""
-    pairs = ((tracks.indices(kind), getattr(names, kind)) for kind in TRACK_KINDS)
-    return Tracks(*(indices[mapped[indices] >= 0] for indices, mapped in pairs))
+    pairs = ((tracks.indices(kind), getattr(name_map, kind)) for kind in TRACK_KINDS)
+    return Tracks(
+        *(indices[mapped_indices[indices] >= 0] for indices, mapped_indices in pairs)
+    )
 
 
 def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> Motion:
@@ -157,7 +163,7 @@ def with_tracks(rig: Rig, base: Motion, replacement: Motion, tracks: Tracks) -> 
         _replace_entries(base.rotations, replacement.rotations, tracks.joints),
         replace_optional("scales", tracks.joints, 1.0),
         replace_optional("weights", tracks.shapes, 0.0),
-        replace_optional("controls", tracks.controls, _defaults(rig)),
+        replace_optional("controls", tracks.controls, _control_defaults(rig)),
     )
 
 
@@ -174,10 +180,10 @@ def _replace_entries(
     """Return a channel with the entries at indices replaced by another channel's."""
     rest_values = channel.rest.copy()
     rest_values[indices] = replacement.rest[indices]
-    kept_columns = ~np.isin(channel.animated, indices)
-    replaced_columns = np.isin(replacement.animated, indices)
-    columns = ((channel, kept_columns), (replacement, replaced_columns))
-    animated_entries = np.concatenate([c.animated[mask] for c, mask in columns])
-    values = np.concatenate([c.values[:, mask] for c, mask in columns], axis=1)
+    is_kept = ~np.isin(channel.animated, indices)
+    is_replacement = np.isin(replacement.animated, indices)
+    masked_channels = ((channel, is_kept), (replacement, is_replacement))
+    animated_entries = np.concatenate([c.animated[mask] for c, mask in masked_channels])
+    values = np.concatenate([c.values[:, mask] for c, mask in masked_channels], axis=1)
     order = np.argsort(animated_entries, kind="stable")
     return Channel(rest_values, animated_entries[order], values[:, order])

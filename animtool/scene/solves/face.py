@@ -47,7 +47,7 @@ if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
 
 # Rotation from a world with Z up to one with Y up.
-_Y_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
+_Y_UP_FROM_Z_UP = np.array([-np.sqrt(0.5), 0.0, 0.0, np.sqrt(0.5)])
 # A neutral frame adds its own noise to all others, which is up to 1.4 times that of the
 # landmarks; a fit that is so much worse has another cause [1].
 MAX_NEUTRAL_RATIO = 2.0
@@ -78,20 +78,20 @@ class FaceJob:
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
-    def target(self) -> SolvedOutput:
-        """The output of the solve."""
+    def solved_output(self) -> SolvedOutput:
+        """Where to write the solved take; nothing without an output."""
         return SolvedOutput.of(self.output, self.capture, self.bake, self.rig)
 
 
 @dataclass(slots=True)
 class FaceResult:
-    """Report of a face solve."""
+    """Report of a face solve: the fit, the linked shapes and the take."""
 
     job: FaceJob
     fit: FaceFit
     links: ShapeLinks
     take: Take
-    pixels: bool  # whether residuals are in pixels
+    is_in_pixels: bool  # whether residuals are in pixels
     notices: list[Fault]
     seconds: dict[str, float]  # wall time by stage
     # Pixels a metre at the face, for landmarks in pixels.
@@ -106,7 +106,7 @@ class FaceResult:
 
     @property
     def outputs(self) -> list[Path]:
-        """Written files."""
+        """Written files; empty if the solve had no output."""
         return [] if self.written is None else self.written.files
 
     @property
@@ -116,8 +116,8 @@ class FaceResult:
 
     @property
     def residual_unit(self) -> str:
-        """Unit of residuals."""
-        return "px" if self.pixels else "m"
+        """Unit of residuals: ``px`` for landmarks in pixels, else ``m``."""
+        return "px" if self.is_in_pixels else "m"
 
     @property
     def moving_shape_count(self) -> int:
@@ -132,18 +132,23 @@ class FaceResult:
 
 def run_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Fit a face to its landmarks and write the take."""
-    target = job.target
-    target.check((job.capture, job.rig, job.landmarks, job.remap, job.camera))
+    solved_output = job.solved_output
+    solved_output.check((job.capture, job.rig, job.landmarks, job.remap, job.camera))
     result = solve_face(job, progress=progress)
-    target.write(TakeStream.of(result.take), result, "landmarks")
+    solved_output.write(TakeStream.of(result.take), result, "landmarks")
     return result
 
 
 def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     """Return a face fitted to its landmarks, without writing it."""
     start_time = time.perf_counter()
-    source = job.source_options
-    capture = read_capture(job.capture, unit=source.unit, up=source.up, fps=source.fps)
+    source_options = job.source_options
+    capture = read_capture(
+        job.capture,
+        unit=source_options.unit,
+        up=source_options.up,
+        fps=source_options.fps,
+    )
     rig, notices = open_rig(job.rig)
     remap = None if job.remap is None else load_remap(job.remap)
     model = _load_model(job, capture, rig)
@@ -171,22 +176,26 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
     if not links.links:
         message = f"{rig.name!r} has no face shape"
-        hint = f"pair them with {argument('source.remap')}"
+        hint = f"pair them with {argument('source_options.remap')}"
         raise OptionError(Fault("FAC009", message, str(job.rig), (), hint))
     head_motion = job.options.head or ("rotation" if camera is None else "none")
     if capture.up is UpAxis.Z and camera is None and job.landmarks is None:
-        fit = _rotate_to_y_up(fit)
+        fit = replace(
+            fit,
+            rotations=multiply(_Y_UP_FROM_Z_UP, fit.rotations),
+            translations=rotate(_Y_UP_FROM_Z_UP, fit.translations),
+        )
     motion, head_notices = face_motion(fit, links, rig, head_motion)
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *head_notices]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = drive_take(Take(rig, capture.clock, motion, tuple(notices)))
     solve_seconds = time.perf_counter() - read_end_time
     seconds = {"read": read_end_time - start_time, "solve": solve_seconds}
-    scale = None
+    pixels_per_meter = None
     if camera is not None:
-        scale = float(camera[0] / np.median(fit.translations[:, 2]))
+        pixels_per_meter = float(camera[0] / np.median(fit.translations[:, 2]))
     return FaceResult(
-        job, fit, links, take, capture.is_in_pixels, notices, seconds, scale
+        job, fit, links, take, capture.is_in_pixels, notices, seconds, pixels_per_meter
     )
 
 
@@ -216,13 +225,13 @@ def _undistort(
     from animtool.capture.cameras.camera import pixel_rays
     from animtool.capture.cameras.file import load_cameras
 
-    lens = _camera(job, load_cameras(job.camera).cameras)
-    intrinsics = np.array([*lens.focal, *lens.centre])
-    rays = pixel_rays(lens, points)[..., :2]
+    camera = _selected_camera(job, load_cameras(job.camera).cameras)
+    intrinsics = np.array([*camera.focal, *camera.centre])
+    rays = pixel_rays(camera, points)[..., :2]
     return intrinsics, rays * intrinsics[:2] + intrinsics[2:]
 
 
-def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
+def _selected_camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
     names = [camera.name for camera in cameras]
     if job.camera_name is None and len(cameras) == 1:
         return cameras[0]
@@ -239,11 +248,11 @@ def _camera(job: FaceJob, cameras: tuple[Camera, ...]) -> Camera:
 
 
 def _with_neutral_proportions(
-    options: FaceOptions, model: FaceModel, points: FloatArray, pixels: bool
+    options: FaceOptions, model: FaceModel, points: FloatArray, is_in_pixels: bool
 ) -> FaceModel:
     if options.neutral is None:
         return model
-    if pixels:
+    if is_in_pixels:
         message = f"{argument('neutral')} needs landmarks in three dimensions"
         raise OptionError(Fault("CLI004", message))
     reason = ""
@@ -252,8 +261,8 @@ def _with_neutral_proportions(
     elif np.isfinite(points[options.neutral]).all(axis=-1).sum() < 4:
         reason = "fewer than 4 landmarks in that frame"
     if reason:
-        frame = argument("neutral", options.neutral)
-        raise OptionError(Fault("FAC011", f"{frame}: {reason}"))
+        frame_text = argument("neutral", options.neutral)
+        raise OptionError(Fault("FAC011", f"{frame_text}: {reason}"))
     return model.with_proportions(points[options.neutral])
 
 
@@ -267,16 +276,16 @@ def _neutral_warnings(
     """
     if options.neutral is None:
         return []
-    frames = np.linspace(0, len(points) - 1, MAX_COMPARED_FRAMES).astype(int)
-    frames = np.unique([*frames, options.neutral])
-    rig_fit = fit_face(rig_face, points[frames], 1.0, smooth=0.0)
+    frame_indices = np.linspace(0, len(points) - 1, MAX_COMPARED_FRAMES).astype(int)
+    frame_indices = np.unique([*frame_indices, options.neutral])
+    rig_fit = fit_face(rig_face, points[frame_indices], 1.0, smooth=0.0)
     if fit.rms < MAX_NEUTRAL_RATIO * rig_fit.rms:
         return []
-    weights = rig_fit.weights[int(np.searchsorted(frames, options.neutral))]
-    largest = np.argsort(-weights, kind="stable")[:MAX_NAMED_SHAPES]
+    weights = rig_fit.weights[int(np.searchsorted(frame_indices, options.neutral))]
+    largest_indices = np.argsort(-weights, kind="stable")[:MAX_NAMED_SHAPES]
     shapes = [
         f"{rig_face.shapes[i]} {weights[i]:.2g}"
-        for i in largest.tolist()
+        for i in largest_indices.tolist()
         if weights[i] > MIN_EXPRESSION
     ]
     message = f"with {argument('neutral', options.neutral)} landmarks fit within "
@@ -285,15 +294,6 @@ def _neutral_warnings(
     message += f" ({listed(shapes)})" if shapes else ""
     hint = "choose a frame with a relaxed, closed face, or leave it out"
     return [warning("FAC111", message, hint)]
-
-
-def _rotate_to_y_up(fit: FaceFit) -> FaceFit:
-    """Return a face fit rotated from Z up to Y up."""
-    return replace(
-        fit,
-        rotations=multiply(_Y_UP, fit.rotations),
-        translations=rotate(_Y_UP, fit.translations),
-    )
 
 
 def face_motion(
@@ -307,10 +307,10 @@ def face_motion(
         rig: The rig.
         head_mode: ``rotation``, ``pose`` or ``none``.
     """
-    count = len(fit.weights)
+    frame_count = len(fit.weights)
     weights = links.apply(fit.weights, len(rig.shapes))
-    rotations = Channel.static(rig.rest_rotations, count)
-    translations = Channel.static(rig.rest_translations, count)
+    rotations = Channel.static(rig.rest_rotations, frame_count)
+    translations = Channel.static(rig.rest_translations, frame_count)
     notices: list[Fault] = []
     joint = head_joints(rig).get(HEAD)
     if head_mode != "none" and joint is None:
@@ -342,10 +342,10 @@ def _head_translations(
     fit: FaceFit, rig: Rig, joint: int, translations: Channel
 ) -> tuple[Channel, list[Fault]]:
     """Return root translations that move the head to its fitted position."""
-    root = rig.upwards(joint)[-1]
-    if rig.joints[root].type is not JointType.FREE:
-        message = f"the root {rig.joints[root].name!r} is not a free joint: the head "
-        message += "motion is ignored"
+    root_index = rig.upwards(joint)[-1]
+    if rig.joints[root_index].type is not JointType.FREE:
+        message = f"the root {rig.joints[root_index].name!r} is not a free joint: "
+        message += "the head motion is ignored"
         return translations, [Fault("FAC109", message, severity=Severity.NOTE)]
     rest_pose = forward_kinematics(
         rig, rig.rest_translations[None], rig.rest_rotations[None]
@@ -355,5 +355,5 @@ def _head_translations(
     joint_positions = np.broadcast_to(joint_position, fit.translations.shape)
     head_offsets = rotate(fit.rotations, joint_positions)
     shift = head_offsets + fit.translations - joint_position
-    root_translations = rig.rest_translations[root] + shift
-    return translations.put(np.array([root]), root_translations[:, None]), []
+    root_translations = rig.rest_translations[root_index] + shift
+    return translations.put(np.array([root_index]), root_translations[:, None]), []

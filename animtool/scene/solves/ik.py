@@ -91,8 +91,8 @@ class IkJob:
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
-    def target(self) -> SolvedOutput:
-        """The output of the solve."""
+    def solved_output(self) -> SolvedOutput:
+        """Where to write the solved take; nothing without an output."""
         source = self.targets if self.start is None else self.start
         rig = _named_rig(self.rig, self.output)
         return SolvedOutput.of(self.output, source, self.bake, rig)
@@ -100,23 +100,26 @@ class IkJob:
 
 @dataclass(slots=True)
 class IkReport:
-    """Report of an IK solve."""
+    """Report of an IK solve: the solution, its goals and their misses."""
 
-    solved: TakeIk  # the take at its targets
+    solution: TakeIk  # the take at its targets
     goals: list[GoalReport]  # result of each goal
     notices: list[Fault]  # warnings and notes
     seconds: dict[str, float]  # wall time by stage
     # Report of the written file; None if nothing was written.
     written: OutputReport | None = None
     json_keys: ClassVar[str] = (
-        "'ik' targets=solved.tracks.path outputs frames=solved.frames first=span.first "
-        "last=span.last fps=span.fps# solved=solved.take.clock.span{first last fps#} "
-        "joints=solved.problem.joints degrees_of_freedom=solved.problem.degrees "
-        "conditions=solved.problem.rows statuses=solved.status_counts "
-        "iterations=solved{mean=mean_iterations max=max_iterations} "
-        "restarts=solved.restarts microseconds_per_frame=solved.microseconds_per_frame "
+        "'ik' targets=solution.tracks.path outputs frames=solution.frames "
+        "first=span.first last=span.last fps=span.fps# "
+        "solved=solution.take.clock.span{first last fps#} "
+        "joints=solution.problem.joints degrees_of_freedom=solution.problem.degrees "
+        "conditions=solution.problem.rows statuses=solution.status_counts "
+        "iterations=solution{mean=mean_iterations max=max_iterations} "
+        "restarts=solution.restarts "
+        "microseconds_per_frame=solution.microseconds_per_frame "
         "goals{effector=name joint residuals missed=spans} "
-        "on_limits=solved.limit_counts jumps=solved.jumps_at_codes channels? notices"
+        "on_limits=solution.limit_counts jumps=solution.jumps_at_codes channels? "
+        "notices"
     )
 
     @property
@@ -126,7 +129,7 @@ class IkReport:
 
     @property
     def outputs(self) -> list[str]:
-        """Written files."""
+        """Written files, or ``stdout``; empty if the solve had no output."""
         if self.written is None:
             return []
         return [str(path) for path in self.written.named] or ["stdout"]
@@ -134,7 +137,7 @@ class IkReport:
     @property
     def is_renumbered(self) -> bool:
         """Whether the written frame numbers differ from the solved ones."""
-        clock, span = self.solved.take.clock, self.span
+        clock, span = self.solution.take.clock, self.span
         is_same_clock = (span.first, span.fps) == (clock.start, clock.fps)
         return self.written is not None and not is_same_clock
 
@@ -142,7 +145,7 @@ class IkReport:
     def span(self) -> FrameSpan:
         """Written frames, or solved frames if nothing was written."""
         return (
-            self.solved.take.clock.span if self.written is None else self.written.span
+            self.solution.take.clock.span if self.written is None else self.written.span
         )
 
 
@@ -164,7 +167,7 @@ class IkContext:
 
     tracks: TargetTracks  # the targets
     take: Take  # the poses to start from
-    at_rest: bool  # whether these poses are the rest pose
+    is_at_rest: bool  # whether these poses are the rest pose
     only_index: int | None  # index of the one frame to solve; None is all
     notices: list[Fault]  # warnings collected so far
 
@@ -233,19 +236,19 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
 
 
 def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
-    """Solve a job and write its output.
+    """Solve the targets of a job and write the take.
 
     Outputs are checked before the solve. With ``strict``, nothing is written if there
     are warnings.
     """
-    target = job.target
-    target.check((job.rig, job.targets, job.start, job.bake.rig_layer))
+    solved_output = job.solved_output
+    solved_output.check((job.rig, job.targets, job.start, job.bake.rig_layer))
     report = _solve(job, progress)
-    if target.outline is None:
+    if solved_output.outline is None:
         return report
     start_time = time.perf_counter()
-    take = replace(report.solved.take, notices=())
-    target.write(TakeStream.of(take), report, "ik", progress)
+    take = replace(report.solution.take, notices=())
+    solved_output.write(TakeStream.of(take), report, "ik", progress)
     report.seconds["write"] = time.perf_counter() - start_time
     return report
 
@@ -261,7 +264,7 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
 
 def _solve(job: IkJob, progress: Progress) -> IkReport:
     start_time = time.perf_counter()
-    with protect_inputs(job.target.files):
+    with protect_inputs(job.solved_output.files):
         context = open_ik(job, progress=progress)
     read_end_time = time.perf_counter()
     with faults_in(job.rig):
@@ -269,18 +272,18 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
             context.take,
             context.tracks,
             _with_goal_tolerances(job),
-            static=context.at_rest,
+            static=context.is_at_rest,
             only=context.only_index,
             progress=progress,
         )
     solve_seconds = time.perf_counter() - read_end_time
     seconds = {"read": read_end_time - start_time, "solve": solve_seconds}
     goals = goal_reports(solution, *_goal_tolerances(job))
-    missed_goals = missed_notices(solution, goals)
+    missed_goal_notices = missed_notices(solution, goals)
     notices = [
         *context.notices,
         *span_notices(solution),
-        *(rest_notices(solution) if context.at_rest else ()),
+        *(rest_notices(solution) if context.is_at_rest else ()),
         *independent_frame_notices(solution, is_smoothed=job.options.smooth > 0),
         *far_target_notices(solution, goals),
         *pole_notices(solution),
@@ -288,9 +291,9 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         *jump_notices(solution),
     ]
     notices = without_accepted(notices)
-    report = IkReport(solution, goals, [*notices, *missed_goals], seconds)
-    if job.bake.strict and missed_goals:
-        raise MissedGoalsError(missed_goals, report)
+    report = IkReport(solution, goals, [*notices, *missed_goal_notices], seconds)
+    if job.bake.strict and missed_goal_notices:
+        raise MissedGoalsError(missed_goal_notices, report)
     refuse_warnings(notices, strict=job.bake.strict)
     return report
 
@@ -374,16 +377,19 @@ def _map_motion(
     take: Take, rig: Rig, path: Path, rig_path: Path
 ) -> tuple[Motion, list[Fault]]:
     """Return the motion of the joints common to both rigs, and notices of the rest."""
-    names = map_names(rig, take.rig)
+    name_map = map_names(rig, take.rig)
     transfer_hint = f"first move it to this rig: animtool retarget {path} "
     transfer_hint += f"{flag('to')} {rig_path}"
-    if (names.joints < 0).all():
+    if (name_map.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
-        hint = f"its joints are {listed(take.rig.names, MAX_LISTED)}; {transfer_hint}"
+        hint = f"its joints are {listed(take.rig.names, MAX_LISTED)}; "
+        hint += transfer_hint
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
-    missing_joints = [rig.names[i] for i in np.flatnonzero(names.joints < 0).tolist()]
-    unmatched_joints = [take.rig.names[index] for index in names.unmatched_joints]
+    missing_joints = [
+        rig.names[i] for i in np.flatnonzero(name_map.joints < 0).tolist()
+    ]
+    unmatched_joints = [take.rig.names[index] for index in name_map.unmatched_joints]
     common_count = len(rig.names) - len(missing_joints)
     if common_count < MIN_COMMON_FRACTION * min(len(rig.names), len(take.rig.names)):
         common_names = [name for name in rig.names if name not in missing_joints]
@@ -394,13 +400,13 @@ def _map_motion(
         message += "; the others stay at rest"
         notices.append(warning("TGT102", message, transfer_hint))
         missing_joints = unmatched_joints = []
-    for joint_names, template in (
+    for joint_names, message_template in (
         (missing_joints, "does not have {}: they stay at rest"),
         (unmatched_joints, "moves {}, which the rig does not have: they are ignored"),
     ):
         if joint_names:
-            message = template.format(listed(joint_names, MAX_LISTED))
+            message = message_template.format(listed(joint_names, MAX_LISTED))
             notices.append(warning("TGT102", message))
     notices = [notice.in_file(path) for notice in notices]
-    motion = replace(names.apply(take.motion), weights=None, controls=None)
+    motion = replace(name_map.apply(take.motion), weights=None, controls=None)
     return motion.map(Channel.compact), notices

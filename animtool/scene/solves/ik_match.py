@@ -10,7 +10,7 @@ from typing import ClassVar
 
 from animtool.clip.channels import ClipUnits
 from animtool.core.clock import Clock
-from animtool.core.errors import Fault, OptionError, faults_in, refuse_warnings
+from animtool.core.errors import Fault, faults_in, refuse_warnings
 from animtool.core.files.output import (
     atomic_outputs,
     check_outputs,
@@ -18,7 +18,6 @@ from animtool.core.files.output import (
     write_arrays,
     write_parts,
 )
-from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.ik.match_take import (
     array_file_of,
@@ -32,6 +31,7 @@ from animtool.motion.take import Take
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
 from animtool.scene.solves.ik import frame_index, open_start
+from animtool.scene.solves.writing import check_file_name
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
@@ -54,7 +54,7 @@ class MatchJob:
 
 @dataclass(frozen=True, slots=True)
 class MatchReport:
-    """Report of limb matching."""
+    """Report of limb matching: the written targets and their clock."""
 
     tracks: TargetTracks  # the targets
     clock: Clock  # of the poses
@@ -69,11 +69,7 @@ class MatchReport:
 
 def run_match(job: MatchJob, *, progress: Progress = None) -> MatchReport:
     """Write targets that reproduce the limbs of a take."""
-    is_json = job.output.suffix.lower() == ".json"
-    if is_json or not has_kind_suffix(job.output, "targets"):
-        message = "is not the name of a targets file"
-        hint = "allowed: .targets.yaml, .targets.yml"
-        raise OptionError(Fault("OUT004", message, str(job.output), (), hint))
+    check_file_name(job.output, "targets", allows_json=False)
     with atomic_outputs():
         return _run_match(job, progress)
 
@@ -101,7 +97,7 @@ def _run_match(job: MatchJob, progress: Progress) -> MatchReport:
     if text.arrays:
         outputs.insert(0, array_file_of(job.output))
         check_outputs(outputs, inputs, overwrite=job.write_options.overwrite)
-        arrays = {name.partition("#")[2]: rows for name, rows in text.arrays.items()}
+        arrays = {name.partition("#")[2]: array for name, array in text.arrays.items()}
         write_arrays(outputs[0], arrays)
     write_parts(job.output, [text.text.encode()])
     seconds = {

@@ -22,16 +22,15 @@ from animtool.core.files.output import (
     write_parts,
 )
 from animtool.core.files.reading import path_from_folder
-from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.formats.marker_files import marker_file_path, open_markers
 from animtool.motion.take import TakeStream
 from animtool.retarget.standing import with_source_warnings
 from animtool.rig.placed import at_origin
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import Progress, timed
+from animtool.scene.bake.progress import Progress, timed_items
 from animtool.scene.convert.rigs import RigFile, rig_file
-from animtool.scene.solves.writing import SolvedOutput
+from animtool.scene.solves.writing import SolvedOutput, check_file_name
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions
 
@@ -59,7 +58,7 @@ class MocapSolveJob:
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
-    def target(self) -> SolvedOutput:
+    def solved_output(self) -> SolvedOutput:
         """The output and the subject's files, without the arrays of a rig."""
         subject_files = (self.write_rig, self.write_template)
         rig = self.write_rig or self.rig
@@ -68,7 +67,7 @@ class MocapSolveJob:
 
 @dataclass(slots=True)
 class MocapSolveResult:
-    """Report of a marker solve."""
+    """Report of a marker solve: its residuals and its calibration."""
 
     source: Path
     rig: Path
@@ -89,22 +88,22 @@ class MocapSolveResult:
 
     @property
     def seconds_per_frame(self) -> float:
-        """Time for a frame [s]."""
+        """Mean time to solve a frame [s]."""
         return self.seconds["solve"] / max(self.solve.score.frames, 1)
 
 
 def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveResult:
     """Solve a capture on a rig and write the motion."""
     _check(job)
-    target = job.target
+    solved_output = job.solved_output
     template = load_template(job.template)
     rig_path = rig_of_template(template, job.rig, job.template)
     inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
-    target.check(marker_file_path(path) for path in inputs if path is not None)
+    solved_output.check(marker_file_path(path) for path in inputs if path is not None)
     with atomic_outputs():
-        stream, result = _solve(job, template, rig_path, target.files, progress)
-        target.write(stream, result, progress=progress)
-        result.outputs = [*_write_subject(job, result), *target.files]
+        stream, result = _solve(job, template, rig_path, solved_output.files, progress)
+        solved_output.write(stream, result, progress=progress)
+        result.outputs = [*_write_subject(job, result), *solved_output.files]
         result.outputs = list(dict.fromkeys(result.outputs))
     return result
 
@@ -114,10 +113,7 @@ def _check(job: MocapSolveJob) -> None:
     for path, kind in ((job.write_rig, "rig"), (job.write_template, "markers")):
         if path is None:
             continue
-        if not has_kind_suffix(path, kind):
-            message = f"is not the name of a {kind} file"
-            hint = f"allowed: .{kind}.yaml, .{kind}.yml"
-            raise OptionError(Fault("OUT004", message, str(path), (), hint))
+        check_file_name(path, kind)
         if not job.calibrate:
             message = "without a calibration there is nothing new to write"
             hint = argument("calibrate", True)
@@ -179,7 +175,7 @@ def _solve(
     stream = solve_stream(solve, job.source, progress)
     stream.notices = [*notices, *stream.notices]
     stream = with_source_warnings(job.source, stream, job.source_options.up)
-    stream.blocks = timed(stream.blocks, seconds, "solve")
+    stream.blocks = timed_items(stream.blocks, seconds, "solve")
     result = MocapSolveResult(
         job.source, rig_path, solve, calibration, list(stream.notices), seconds
     )

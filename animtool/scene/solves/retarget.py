@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, ClassVar
 
 from animtool.core.errors import Fault, OptionError, faults_in
 from animtool.core.files.output import atomic_outputs, protect_inputs, write_parts
-from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
 from animtool.core.values import template_values
 from animtool.motion.driving import drive_stream
@@ -26,8 +25,8 @@ from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.progress import Progress, timed
-from animtool.scene.solves.writing import SolvedOutput
+from animtool.scene.bake.progress import Progress, timed_items
+from animtool.scene.solves.writing import SolvedOutput, check_file_name
 from animtool.scene.sources.onto_rig import open_rig
 from animtool.scene.sources.open import SourceOptions, open_source
 
@@ -59,7 +58,7 @@ class RetargetJob:
     bake: BakeOptions = field(default_factory=BakeOptions)
 
     @property
-    def target(self) -> SolvedOutput:
+    def solved_output(self) -> SolvedOutput:
         """The outputs, including the map file."""
         files = (self.write_map,)
         return SolvedOutput.of(self.output, self.source, self.bake, self.rig, files)
@@ -67,7 +66,7 @@ class RetargetJob:
 
 @dataclass(slots=True)
 class RetargetResult:
-    """Report of retargeting."""
+    """Report of retargeting: the joint map, the score and the verdict."""
 
     source: Path
     rig: Path
@@ -102,7 +101,7 @@ class RetargetResult:
 
     @property
     def seconds_per_frame(self) -> float:
-        """Time for a frame [s]."""
+        """Mean time to retarget a frame [s]."""
         return self.seconds["solve"] / max(self.score.frames, 1)
 
     @property
@@ -125,22 +124,21 @@ class RetargetResult:
 
 def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResult:
     """Retarget a take to another rig and write it."""
-    if job.write_map is not None and not has_kind_suffix(job.write_map, "map"):
-        message, hint = "is not the name of a map file", "allowed: .map.yaml, .map.yml"
-        raise OptionError(Fault("OUT004", message, str(job.write_map), (), hint))
+    if job.write_map is not None:
+        check_file_name(job.write_map, "map")
     if job.source.is_dir():
         hint = "to retarget folders, run a batch of a scene with the pass retarget: "
         hint += "animtool batch"
         raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
-    target = job.target
-    target.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
+    solved_output = job.solved_output
+    solved_output.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
     with atomic_outputs():
-        stream, report = _retarget(job, target.files, progress)
-        target.write(stream, report, "retarget", progress)
+        stream, report = _retarget(job, solved_output.files, progress)
+        solved_output.write(stream, report, "retarget", progress)
         if job.write_map is not None:
             text = map_text(report.joint_map, report.source_rig, report.target)
             write_parts(job.write_map, [text.encode()])
-    report.outputs = target.files
+    report.outputs = solved_output.files
     report.frame_numbers = _output_frame_numbers(job, report)
     return report
 
@@ -199,7 +197,7 @@ def _retarget(
         rig = replace(rig, has_animated_parents=stream.rig.has_animated_parents)
         stream = _without_placement(stream, job)
         seconds["read"] = time.perf_counter() - start_time
-        stream.blocks = timed(stream.blocks, seconds, "read")
+        stream.blocks = timed_items(stream.blocks, seconds, "read")
         with faults_in(job.source):
             retargeting, joint_map, map_notices = retarget_stream(
                 stream, rig, job.options
@@ -214,7 +212,7 @@ def _retarget(
     solved_stream = replace(
         stream,
         rig=rig,
-        blocks=timed(blocks, seconds, "solve"),
+        blocks=timed_items(blocks, seconds, "solve"),
         notices=notices,
         curve=None,
         count=0,

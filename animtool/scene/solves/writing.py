@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
-from animtool.core.errors import Fault, refuse_warnings
+from animtool.core.errors import Fault, OptionError, refuse_warnings
 from animtool.core.files.output import check_outputs
 from animtool.core.names import has_kind_suffix
 from animtool.core.record import dataclass
@@ -21,6 +21,15 @@ if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
 
 
+def check_file_name(path: Path, kind: str, *, allows_json: bool = True) -> None:
+    """Refuse a file to write whose name does not end in its kind, such as ``map``."""
+    is_json = path.suffix.lower() == ".json"
+    if not has_kind_suffix(path, kind) or (is_json and not allows_json):
+        message = f"is not the name of a {kind} file"
+        hint = f"allowed: .{kind}.yaml, .{kind}.yml"
+        raise OptionError(Fault("OUT004", message, str(path), (), hint))
+
+
 class SolveReport(Protocol):
     """A report of a solve, to which the report of the written output is added."""
 
@@ -30,7 +39,7 @@ class SolveReport(Protocol):
 
 @dataclass(frozen=True, slots=True)
 class SolvedOutput:
-    """The output of a solve."""
+    """Files that a solve writes: the take, and others such as a map."""
 
     outline: Outline | None  # the take as output; None if it is not written
     bake: BakeOptions
@@ -44,7 +53,7 @@ class SolvedOutput:
         rig: Path | None,
         extra_files: Iterable[Path | None] = (),
     ) -> SolvedOutput:
-        """Return the output of a solve; a clip names a rig file."""
+        """Return the outline of a solve's output; a clip refers to a rig file."""
         outline = None
         if output is not None:
             clip_rig = rig if rig is not None and has_kind_suffix(rig, "rig") else None
@@ -91,7 +100,9 @@ class SolvedOutput:
 
             report.written = bake_take(stream, self.outline, progress=progress)
             stream_notices = report.written.notices
-        reported = set(report.notices)
-        report.notices += [each for each in stream_notices if each not in reported]
+        reported_notices = set(report.notices)
+        report.notices += [
+            notice for notice in stream_notices if notice not in reported_notices
+        ]
         if self.outline is None:
             refuse_warnings(report.notices, strict=self.bake.strict)

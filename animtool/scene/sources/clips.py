@@ -59,33 +59,35 @@ def clip_stream(
 ) -> TakeStream:
     """Return the frames of a clip, with notices located in its file."""
     path = file.document.path
-    count = _frame_count(file, clip)
+    frame_count = _frame_count(file, clip)
     # Streams do not keep the text of their file: it is read again for the first notice.
     reopened_file = cache(lambda: _reopen(path))
     stream = TakeStream(rig, clip.fps, clip.first, Fraction(1), iter(()))
 
     reported_pairs: set[tuple[str, str]] = set()
 
-    def to_motion(sampled: SampledMotion) -> Motion:
-        for note in sampled.clip_notices:
+    def to_motion(sampled_motion: SampledMotion) -> Motion:
+        for clip_notice in sampled_motion.clip_notices:
             # A clip may be sampled again, at other times.
-            if (note.fault.code, note.target) not in reported_pairs:
-                reported_pairs.add((note.fault.code, note.target))
-                stream.notices.append(_located_fault(path, reopened_file(), rig, note))
-        return sampled.motion
+            if (clip_notice.fault.code, clip_notice.target) not in reported_pairs:
+                reported_pairs.add((clip_notice.fault.code, clip_notice.target))
+                stream.notices.append(
+                    _located_fault(path, reopened_file(), rig, clip_notice)
+                )
+        return sampled_motion.motion
 
     def curve(times: FloatArray) -> Motion:
         with faults_in(path):
-            sampled = sample_channels(clip.channels, rig, times, clamp=clamp)
-        return to_motion(sampled)
+            sampled_motion = sample_channels(clip.channels, rig, times, clamp=clamp)
+        return to_motion(sampled_motion)
 
     def blocks(times: FloatArray) -> Iterator[Motion]:
         with faults_in(path):
-            for sampled in sample_blocks(clip.channels, rig, times, clamp=clamp):
-                yield to_motion(sampled)
+            for sampled_motion in sample_blocks(clip.channels, rig, times, clamp=clamp):
+                yield to_motion(sampled_motion)
 
-    frame_codes = float(clip.first) + np.arange(count, dtype=np.float64)
-    stream.blocks, stream.count = blocks(frame_codes), count
+    frame_codes = float(clip.first) + np.arange(frame_count, dtype=np.float64)
+    stream.blocks, stream.count = blocks(frame_codes), frame_count
     stream.curve = KeyedCurve(
         curve, lambda: None if clamp else clip, sample_blocks=blocks
     )
@@ -117,7 +119,7 @@ def _located_fault(
 
 
 def _locate(fault: Fault, file: ClipFile, key_path: Location) -> Fault:
-    """Return a fault located at a key of a clip file."""
+    """Return a fault with the file, line and column of a key of a clip."""
     line, column = file.document.position(key_path)
     where = location_text(key_path)
     fault = replace(fault, lines=(line,), column=column, where=where)
@@ -135,8 +137,11 @@ def _causing_channels(
             if f"{channel.target}.".startswith(prefix):
                 yield i, channel
         for control in rig.controls:
-            name, driven = f"control/{control.name}", (d.target for d in control.drives)
-            is_driver = any(f"{each}.".startswith(prefix) for each in driven)
+            name = f"control/{control.name}"
+            driven_targets = (d.target for d in control.drives)
+            is_driver = any(
+                f"{driven}.".startswith(prefix) for driven in driven_targets
+            )
             if is_driver and name not in targets:
                 targets.append(name)
 

@@ -23,33 +23,29 @@ from animtool.maths.curves import Curves
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
+from animtool.scene.file.entries import SceneSource
 from animtool.scene.file.tracks import (
-    TrackNames,
     Tracks,
     moving_tracks,
     rest_motion,
     select_tracks,
     with_tracks,
 )
-from animtool.scene.sources.onto_rig import Notify, map_to_rig
+from animtool.scene.sources.onto_rig import map_to_rig
 
 MAX_LISTED = 6
 
 
 @dataclass(frozen=True, slots=True)
 class JoinedSource:
-    """A source to join, with the tracks that it sets."""
+    """An open source to join, and its entry with its tracks and time code."""
 
     stream: TakeStream
-    tracks: TrackNames | None  # its tracks; None uses all moving ones
-    timecode: str | None  # time code of its first frame; None if not stated
-    # Frames a second that the time code counts; None is its own rate.
-    timecode_fps: Fraction | None
-    note: Notify  # creates its faults
+    entry: SceneSource
 
 
 def join_sources(
-    first: JoinedSource, other_sources: Sequence[JoinedSource]
+    first_source: JoinedSource, other_sources: Sequence[JoinedSource]
 ) -> TakeStream:
     """Return the first source, with tracks replaced by those of the other sources.
 
@@ -62,21 +58,21 @@ def join_sources(
     faults: list[Fault] = []
     for source in other_sources:
         try:
-            layers.append(_map_source(first, source))
+            layers.append(_map_source(first_source, source))
         except OptionError as error:
             faults += error.faults
     if faults:
         # Faults of the first source are collected with those of the others.
         raise OptionError(list(dict.fromkeys(faults)))
     for i, layer in enumerate(layers):
-        first.stream.notices += layer.notices
-        first.stream.notices += _duplicate_tracks(layer, layers[:i])
-    return _JoinedTake(first.stream, layers).stream()
+        first_source.stream.notices += layer.notices
+        first_source.stream.notices += _duplicate_tracks(layer, layers[:i])
+    return _JoinedTake(first_source.stream, layers).stream()
 
 
 @dataclass(frozen=True, slots=True)
 class _Layer:
-    """A source mapped to the rig of the first source."""
+    """A source mapped to the rig of the first, with the tracks that it replaces."""
 
     source: JoinedSource
     take: Take  # its frames
@@ -128,64 +124,68 @@ def _with_animated_entries_of(motion: Motion, template: Motion) -> Motion:
     return Motion(*map(convert, names))
 
 
-def _map_source(first: JoinedSource, source: JoinedSource) -> _Layer:
+def _map_source(first_source: JoinedSource, source: JoinedSource) -> _Layer:
     """Return a source mapped to the rig and the clock of the first."""
-    rig = first.stream.rig
-    stream, names = map_to_rig(source.stream, rig, source.note)
+    rig = first_source.stream.rig
+    stream, name_map = map_to_rig(source.stream, rig, source.entry.location.fault)
     mapped_source, take = replace(source, stream=stream), stream.collect()
     notices = [
         note
         if note.path
-        else source.note(note.code, note.message, note.hint, note.severity)
+        else source.entry.location.fault(
+            note.code, note.message, note.hint, note.severity
+        )
         for note in mapped_source.stream.notices
     ]
-    if source.tracks is None:
+    if source.entry.tracks is None:
         source_rig = reorient(replace(source.stream, blocks=iter(())), rig.up).rig
-        tracks = moving_tracks(take.motion, names, source_rig)
+        tracks = moving_tracks(take.motion, name_map, source_rig)
     else:
-        tracks, unmatched = select_tracks(source.tracks, names)
+        tracks, unmatched_patterns = select_tracks(source.entry.tracks, name_map)
         faults = []
-        for kind, pattern, valid_names in unmatched:
+        for kind, pattern, valid_names in unmatched_patterns:
             message = f"tracks.{kind}: nothing in it and {rig.name!r} matches "
             message += excerpt(pattern)
             faults.append(
-                source.note("SCN037", message, name_hint(pattern, valid_names))
+                source.entry.location.fault(
+                    "SCN037", message, name_hint(pattern, valid_names)
+                )
             )
         if faults:
             raise OptionError(faults)
     if not tracks:
-        message, hint = (
-            f"has no tracks of {rig.name!r}",
-            "list its tracks under tracks:",
-        )
-        raise OptionError(source.note("SCN036", message, hint))
-    return _Layer(mapped_source, take, tracks, _delay(first, source), notices)
+        message = f"has no tracks of {rig.name!r}"
+        hint = "list its tracks under tracks:"
+        raise OptionError(source.entry.location.fault("SCN036", message, hint))
+    return _Layer(mapped_source, take, tracks, _delay(first_source, source), notices)
 
 
-def _delay(first: JoinedSource, other_source: JoinedSource) -> Fraction:
-    """Return the delay of a source after the first [s]."""
-    if first.timecode is None and other_source.timecode is None:
+def _delay(first_source: JoinedSource, other_source: JoinedSource) -> Fraction:
+    """Return the delay of a source after the first, by their time codes [s]."""
+    if first_source.entry.timecode is None and other_source.entry.timecode is None:
         return Fraction(0)
-    for source in (first, other_source):
-        if source.timecode is None:
+    for source in (first_source, other_source):
+        if source.entry.timecode is None:
             message = "it has no time code, but another source has one"
             hint = "write the timecode of its first frame for all sources or for none"
-            raise OptionError(source.note("SCN034", message, hint))
+            raise OptionError(source.entry.location.fault("SCN034", message, hint))
     starts: list[tuple[str, Fraction]] = []
-    for source in (first, other_source):
-        rate = source.timecode_fps or source.stream.fps / source.stream.step
-        starts.append((str(source.timecode), rate))
+    for source in (first_source, other_source):
+        rate = source.entry.timecode_fps or source.stream.fps / source.stream.step
+        starts.append((str(source.entry.timecode), rate))
         try:
             seconds_between(*starts[-1], *starts[-1])
         except ValueError as error:
             hint = f"it counts {rate_label(rate)}; set another rate with timecode_fps"
-            raise OptionError(source.note("SCN033", str(error), hint)) from error
+            raise OptionError(
+                source.entry.location.fault("SCN033", str(error), hint)
+            ) from error
     return seconds_between(*starts[0], *starts[1])
 
 
 def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fault]:
     """Warn if a source without a track list sets tracks of an earlier source."""
-    if layer.source.tracks is not None:
+    if layer.source.entry.tracks is not None:
         return []
     rig = layer.take.rig
     common_names: dict[str, None] = {}
@@ -194,11 +194,12 @@ def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fau
         common_names |= dict.fromkeys(common_tracks.names(rig))
     if not common_names:
         return []
-    message = (
-        f"moves {listed(list(common_names), MAX_LISTED)}, as a source above it does"
-    )
+    names_text = listed(list(common_names), MAX_LISTED)
+    message = f"moves {names_text}, as a source above it does"
     hint = "its own are used; list the tracks of each under tracks:"
-    return [layer.source.note("SCN105", message, hint, Severity.WARNING)]
+    return [
+        layer.source.entry.location.fault("SCN105", message, hint, Severity.WARNING)
+    ]
 
 
 @dataclass(frozen=True, slots=True)
@@ -209,7 +210,7 @@ class _JoinedTake:
     layers: list[_Layer]
 
     def stream(self) -> TakeStream:
-        """Return the joined take."""
+        """Return the joined take as a stream, with a curve if any source has one."""
         joined_stream = replace(
             self.base, blocks=self._blocks(), control_curves=self._control_curves()
         )
@@ -271,11 +272,11 @@ class _JoinedTake:
     def _report_frames(self, count: int) -> None:
         """Add notices of the missing and unused frames of each source."""
         for layer in self.layers:
-            self.base.notices.extend(self._frame_messages(layer, count))
+            self.base.notices.extend(self._frame_notices(layer, count))
 
-    def _frame_messages(self, layer: _Layer, count: int) -> Iterator[Fault]:
+    def _frame_notices(self, layer: _Layer, count: int) -> Iterator[Fault]:
         """Yield notices of missing and unused frames of a source."""
-        clock, note = layer.take.clock, layer.source.note
+        clock, note = layer.take.clock, layer.source.entry.location.fault
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)
         layer_step = self._rate / clock.rate
@@ -286,23 +287,21 @@ class _JoinedTake:
             message += self._range_text(Fraction(0), last)
             hint = "compare their time codes and timecode_fps"
             raise OptionError(note("SCN035", message, hint))
-        frames_missing = []
+        missing_ranges = []
         if begin > 0:
-            frames_missing.append(
+            missing_ranges.append(
                 self._range_text(Fraction(0), Fraction(-(-begin // 1) - 1))
             )
         # The last frame of a source with a lower rate lasts until its next would begin.
         if end + max(layer_step, Fraction(1)) <= last:
-            frames_missing.append(self._range_text(Fraction(end // 1 + 1), last))
-        if frames_missing:
-            message = (
-                f"does not have frame {' and '.join(frames_missing)}: its nearest "
-            )
-            message += "is held there"
+            missing_ranges.append(self._range_text(Fraction(end // 1 + 1), last))
+        if missing_ranges:
+            message = f"does not have frame {' and '.join(missing_ranges)}: its "
+            message += "nearest is held there"
             yield note("SCN103", message, None, Severity.WARNING)
-        frames_outside = max(-begin, Fraction(0)) + max(end - last, Fraction(0))
-        if frames_outside:
-            message = plain_number(float(frames_outside / self._rate))
+        outside_frame_count = max(-begin, Fraction(0)) + max(end - last, Fraction(0))
+        if outside_frame_count:
+            message = plain_number(float(outside_frame_count / self._rate))
             message += " s before and after the first source are ignored"
             yield note("SCN104", message, None, Severity.NOTE)
 

@@ -26,7 +26,7 @@ from animtool.rig.skeleton import Rig
 
 
 def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]]:
-    """Return a rig of any format, with notices."""
+    """Return the rig of a file of any format, with warnings of its reader."""
     if path.is_file() and find_reader(path) is USD:
         from animtool.usd.rigs.stored import read_rig_with_data
 
@@ -81,18 +81,18 @@ class NameMap:
             _gather_entries(motion.translations, self.joints, rig.rest_translations),
             _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
             _gather_or_rest(motion.scales, self.joints, unit_scales),
-            self._with_combined(
+            self._with_combined_weights(
                 _gather_or_rest(motion.weights, self.shapes, zero_weights)
             ),
             _gather_or_rest(motion.controls, self.controls, defaults),
         )
 
-    def _with_combined(self, weights: Channel | None) -> Channel | None:
+    def _with_combined_weights(self, weights: Channel | None) -> Channel | None:
         """Return weights with those of unmapped combination shapes computed."""
         if weights is None:
             return None
-        missing_shapes = np.flatnonzero(self.shapes < 0)
-        return combine_missing_weights(weights, self.rig.shapes, missing_shapes)
+        missing_indices = np.flatnonzero(self.shapes < 0)
+        return combine_missing_weights(weights, self.rig.shapes, missing_indices)
 
 
 def map_names(rig: Rig, other_rig: Rig) -> NameMap:
@@ -112,15 +112,15 @@ def map_names(rig: Rig, other_rig: Rig) -> NameMap:
             *indices_by_name.get(joint.source_name, ()),
         ]
         parent = joints[joint.parent] if joint.parent >= 0 else -1
-        with_mapped_parent = [
+        children_of_mapped_parent = [
             index for index in candidates if other_rig.joints[index].parent == parent
         ]
-        joints.append(next(iter(with_mapped_parent or candidates), -1))
+        joints.append(next(iter(children_of_mapped_parent or candidates), -1))
     return NameMap(
         rig,
         np.array(joints, np.int64),
-        _indices(rig.shapes, other_rig.shapes),
-        _indices(rig.controls, other_rig.controls),
+        _indices_by_name(rig.shapes, other_rig.shapes),
+        _indices_by_name(rig.controls, other_rig.controls),
         tuple(sorted(set(range(len(other_rig.joints))) - set(joints))),
     )
 
@@ -133,21 +133,19 @@ def map_to_rig(
     Tracks that the rig lacks are dropped; tracks that only the rig has stay at rest.
     """
     stream = reorient(stream, rig.up)
-    names = map_names(rig, stream.rig)
-    indices = np.concatenate([names.joints, names.shapes, names.controls])
+    name_map = map_names(rig, stream.rig)
+    indices = np.concatenate([name_map.joints, name_map.shapes, name_map.controls])
     if (indices < 0).all():
         message = f"has no joint, shape or control of {rig.name!r}"
-        hint = (
-            f"its joints are {listed(stream.rig.names, MAX_LISTED)}; animtool retarget "
-        )
-        hint += "moves a take to another rig"
+        hint = f"its joints are {listed(stream.rig.names, MAX_LISTED)}; "
+        hint += "animtool retarget moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))
     source_blocks, curve = stream.blocks, stream.curve
     control_names = {control.name for control in rig.controls}
     mapped_stream = replace(
         stream,
         rig=rig,
-        blocks=(names.apply(block) for block in source_blocks),
+        blocks=(name_map.apply(block) for block in source_blocks),
         control_curves={
             name: curves
             for name, curves in stream.control_curves.items()
@@ -155,22 +153,22 @@ def map_to_rig(
         },
     )
     if curve is not None:
-        mapped_stream.curve = lambda times: names.apply(curve(times))
-    return mapped_stream, names
+        mapped_stream.curve = lambda times: name_map.apply(curve(times))
+    return mapped_stream, name_map
 
 
-def unmapped_notices(names: NameMap, other_rig: Rig, path: str) -> list[Fault]:
+def unmapped_notices(name_map: NameMap, other_rig: Rig, path: str) -> list[Fault]:
     """Return notices of tracks that only one of two rigs has."""
-    shapes = set(names.shapes.tolist())
-    joints = [other_rig.names[index] for index in names.unmatched_joints]
+    shapes = set(name_map.shapes.tolist())
+    joints = [other_rig.names[index] for index in name_map.unmatched_joints]
     other_shapes = enumerate(other_rig.shapes)
-    spare_shapes = [shape.name for i, shape in other_shapes if i not in shapes]
-    missing_indices = np.flatnonzero(names.joints < 0).tolist()
-    missing_joints = [names.rig.names[index] for index in missing_indices]
+    extra_shapes = [shape.name for i, shape in other_shapes if i not in shapes]
+    missing_indices = np.flatnonzero(name_map.joints < 0).tolist()
+    missing_joints = [name_map.rig.names[index] for index in missing_indices]
     warning, note = Severity.WARNING, Severity.NOTE
     groups = (
         ("RIG042", joints, "joints are not in the rig", MOTION_IGNORED, warning),
-        ("RIG042", spare_shapes, "shapes are not in the rig", MOTION_IGNORED, warning),
+        ("RIG042", extra_shapes, "shapes are not in the rig", MOTION_IGNORED, warning),
         ("RIG043", missing_joints, "joints only the rig has", STAY_AT_REST, note),
     )
     return [
@@ -197,14 +195,14 @@ def map_to_rig_file(
     # Placement of the take, not of the rig's stage.
     rig = at_origin(rig)
     reoriented_stream = reorient(stream, rig.up)
-    mapped_stream, names = map_to_rig(reoriented_stream, rig, note)
-    unmatched_notices = unmapped_notices(names, reoriented_stream.rig, str(path))
+    mapped_stream, name_map = map_to_rig(reoriented_stream, rig, note)
+    unmatched_notices = unmapped_notices(name_map, reoriented_stream.rig, str(path))
     differences: list[Fault] = []
     if reoriented_stream.rig.joints and rig.joints:
         _, differences = check_fit(
             reoriented_stream.rig,
             rig,
-            names.joints,
+            name_map.joints,
             str(rig_path),
             is_forced=force_fit,
             unmatched_faults=unmatched_notices,
@@ -214,12 +212,14 @@ def map_to_rig_file(
     return mapped_stream
 
 
-def _indices(
+def _indices_by_name(
     elements: Sequence[Shape | Control], other_elements: Sequence[Shape | Control]
 ) -> IntArray:
     """Return the index of each element among others by its name; -1 if it is absent."""
     index_by_name = {element.name: i for i, element in enumerate(other_elements)}
-    return np.array([index_by_name.get(each.name, -1) for each in elements], np.int64)
+    return np.array(
+        [index_by_name.get(element.name, -1) for element in elements], np.int64
+    )
 
 
 def _gather_or_rest(
@@ -233,15 +233,15 @@ def _gather_or_rest(
 def _gather_entries(
     channel: Channel, indices: IntArray, rest_values: FloatArray
 ) -> Channel:
-    """Return a channel's entries at indices; -1 gives the rest value."""
+    """Return a channel with entries reordered by indices; -1 gives the rest value."""
     is_mapped = indices >= 0
     values = np.array(rest_values, np.float64)
     values[is_mapped] = channel.rest[indices[is_mapped]]
-    columns = np.full(len(channel.rest), -1)
-    columns[channel.animated] = np.arange(len(channel.animated))
+    column_by_entry = np.full(len(channel.rest), -1)
+    column_by_entry[channel.animated] = np.arange(len(channel.animated))
     column_indices = np.full(len(indices), -1)
-    column_indices[is_mapped] = columns[indices[is_mapped]]
-    animated_entries = np.flatnonzero(column_indices >= 0)
+    column_indices[is_mapped] = column_by_entry[indices[is_mapped]]
+    animated_indices = np.flatnonzero(column_indices >= 0)
     return Channel(
-        values, animated_entries, channel.values[:, column_indices[animated_entries]]
+        values, animated_indices, channel.values[:, column_indices[animated_indices]]
     )

@@ -1,4 +1,4 @@
-"""Opening a source by its format."""
+"""Opens takes of every format as streams, with options that files do not state."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from animtool.motion.take import TakeStream
 
 # Options that apply to every source.
-ANY_SOURCE = frozenset({"rig", "force_fit", "shot"})
+ANY_SOURCE_OPTIONS = frozenset({"rig", "force_fit", "shot"})
 # Options that are not passed to readers.
 NON_READER_OPTIONS = frozenset({"force_fit", "shot"})
-_IGNORED_OPTIONS = ("interpolate", "hold", "close")
+_DROPPED_FRAME_MODES = ("interpolate", "hold", "close")
 _POSITION_MODES = ("channels", "offsets")
 _ONLY_BVH_REASON = "sets what a BVH does not state; this file states it"
 _UNIT_REASON = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
@@ -186,9 +186,9 @@ class SourceOptions:
             "For a face recording: how to fill frames without a row. Default: "
             "`interpolate`.",
             "hold",
-            _IGNORED_OPTIONS,
+            _DROPPED_FRAME_MODES,
         ),
-        choices=_IGNORED_OPTIONS,
+        choices=_DROPPED_FRAME_MODES,
         help="How to fill missing frames of a face recording: interpolate, hold the "
         "previous frame, or close the gap, which moves later frames up.  "
         "[default: interpolate]",
@@ -222,7 +222,7 @@ class SourceOptions:
     shot: Shot | None = None
 
     def __post_init__(self) -> None:
-        """Convert the rate from a number or text."""
+        """Convert ``fps`` from a number or text to a fraction."""
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
 
@@ -286,7 +286,7 @@ def fitting_options(
     default_values = {
         field.name: getattr(defaults, field.name)
         for field in fields(SourceOptions)
-        if field.name not in ANY_SOURCE
+        if field.name not in ANY_SOURCE_OPTIONS
         and not supports_option(path, field.name)
         and any(supports_option(other_path, field.name) for other_path in all_paths)
     }
@@ -386,10 +386,10 @@ def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
 
     record_input(path)
 
-    def opener(read: Callable[[], TakeStream]) -> Callable[[], TakeStream]:
+    def driven_opener(read: Callable[[], TakeStream]) -> Callable[[], TakeStream]:
         return lambda: _drive_tracks(read())
 
-    return {name: opener(read) for name, read in read_characters(path).items()}
+    return {name: driven_opener(read) for name, read in read_characters(path).items()}
 
 
 def _drive_tracks(stream: TakeStream) -> TakeStream:

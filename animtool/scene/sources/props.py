@@ -30,7 +30,7 @@ VISIBLE_SHEAR = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class OpenProp:
-    """An open prop of a scene."""
+    """A prop of a scene whose file is open, with its track."""
 
     entry: SceneProp
     source: PropSource
@@ -51,14 +51,14 @@ def open_props(
     opened_props: list[OpenProp] = []
     faults: list[Fault] = []
     for entry in entries:
-        stage = meter.stage(entry.file.name, entry.location.where)
+        cost = meter.stage(entry.file.name, entry.location.where)
         try:
-            with meter.running(stage):
+            with meter.running(cost):
                 prop = open_prop(entry, up)
         except AnimtoolError as error:
             faults += map(entry.location.locate, error.faults)
             continue
-        track = _metered_track(entry, prop, stage, meter, notices)
+        track = _metered_track(entry, prop, cost, meter, notices)
         follows_placement = same_file(entry.file.resolve(), source)
         follows_placement = follows_placement or not entry.path.startswith("/")
         track = replace(track, follows_placement=follows_placement)
@@ -71,9 +71,9 @@ def open_props(
 def with_props(
     stream: TakeStream,
     added_props: Sequence[OpenProp],
-    first: Fraction | None,
+    first_frame: Fraction | None,
     fps: Fraction | None,
-    dropped: Callable[[FloatArray], Placement] | None = None,
+    dropped_placement: Callable[[FloatArray], Placement] | None = None,
 ) -> TakeStream:
     """Return a take with props added, sampled at the frames of the take.
 
@@ -83,13 +83,16 @@ def with_props(
     start = stream.first_frame
     props = []
     for prop in added_props:
-        begin = first or start if prop.entry.frame is None else prop.entry.frame
+        begin = first_frame or start if prop.entry.frame is None else prop.entry.frame
         step = prop.source.fps * stream.step / stream.fps
         props.append(_TimedProp(prop, begin, step))
     props_stream = _PropStream(stream, props)
     for timed_prop in props:
-        stream.notices += timed_prop.notes(fps or stream.fps)
-    tracks = (*stream.tracks, *(prop.track(stream, dropped) for prop in props))
+        stream.notices += timed_prop.notices(fps or stream.fps)
+    tracks = (
+        *stream.tracks,
+        *(prop.track(stream, dropped_placement) for prop in props),
+    )
     stream_with_props = replace(stream, blocks=props_stream.blocks(), tracks=tracks)
     curve = stream.curve
     if curve is not None:
@@ -102,20 +105,20 @@ def with_props(
 def _metered_track(
     entry: SceneProp,
     source: PropSource,
-    stage: StageCost,
+    cost: StageCost,
     meter: Meter,
     notices: list[Fault],
 ) -> Track:
     """Return a track whose reads are timed and whose shear is reported."""
-    shear_reported = False
+    is_shear_reported = False
 
     def sample(times: FloatArray) -> Transforms:
-        nonlocal shear_reported
-        with meter.running(stage), entry.location.located():
+        nonlocal is_shear_reported
+        with meter.running(cost), entry.location.located():
             samples = source.track.sample(times)
         shear = source.max_shear()
-        if shear > VISIBLE_SHEAR and not shear_reported:
-            shear_reported = True
+        if shear > VISIBLE_SHEAR and not is_shear_reported:
+            is_shear_reported = True
             message = f"{entry.prim} is sheared between its keys, by up to "
             message += f"{shear:.2g} of its size, which is ignored"
             notices.append(entry.location.fault("SCN113", message, None, Severity.NOTE))
@@ -129,30 +132,32 @@ class _TimedProp:
     """A prop sampled at the frames of a take."""
 
     open_prop: OpenProp
-    begin: Fraction  # time code of its file at the first frame
+    begin_code: Fraction  # time code of its file at the first frame
     step: Fraction  # time codes of its file per frame
 
     def times(self, first: int, count: int) -> FloatArray:
         """Return the time codes of the prop at frames of the take ``(count,)``."""
-        return time_codes(self.begin + first * self.step, self.step, count)
+        return time_codes(self.begin_code + first * self.step, self.step, count)
 
     def track(
-        self, stream: TakeStream, dropped: Callable[[FloatArray], Placement] | None
+        self,
+        stream: TakeStream,
+        dropped_placement: Callable[[FloatArray], Placement] | None,
     ) -> Track:
         """Return the prop's track, relative to the take if the placement is dropped."""
         track = self.open_prop.track
-        if dropped is None or not track.follows_placement:
+        if dropped_placement is None or not track.follows_placement:
             return track
         start = stream.first_frame
         rate = stream.step / self.step
 
         def inverse_placement(times: FloatArray) -> Placement:
-            codes = float(start) + (times - float(self.begin)) * float(rate)
-            return dropped(codes).inverse()
+            codes = float(start) + (times - float(self.begin_code)) * float(rate)
+            return dropped_placement(codes).inverse()
 
         return apply_animated_placement(track, inverse_placement)
 
-    def notes(self, fps: Fraction) -> Iterator[Fault]:
+    def notices(self, fps: Fraction) -> Iterator[Fault]:
         """Yield notices of the prop that do not depend on frames."""
         source, entry = self.open_prop.source, self.open_prop.entry
         note = entry.location.fault
@@ -176,7 +181,7 @@ class _TimedProp:
 
 @dataclass(frozen=True, slots=True)
 class _PropStream:
-    """A take with props added."""
+    """A take to whose blocks the sample times of props are added."""
 
     stream: TakeStream
     props: Sequence[_TimedProp]
@@ -192,17 +197,17 @@ class _PropStream:
         """Return a motion with the times ``(F, N)`` of props appended."""
         if motion.track_times is not None:
             times = np.concatenate([motion.track_times.dense()[..., 0], times], axis=1)
-        return replace(motion, track_times=_channel(times))
+        return replace(motion, track_times=_times_channel(times))
 
     def prop_times(self, times: FloatArray) -> FloatArray:
         """Return the time codes of every prop ``(F, N)`` at time codes of the take."""
         frames = (times - float(self.stream.first_frame)) / float(self.stream.step)
-        begin_codes = np.array([float(prop.begin) for prop in self.props])
+        begin_codes = np.array([float(prop.begin_code) for prop in self.props])
         steps = np.array([float(prop.step) for prop in self.props])
         return np.asarray(begin_codes + frames[:, None] * steps)
 
 
-def _channel(times: FloatArray) -> Channel:
+def _times_channel(times: FloatArray) -> Channel:
     """Return times ``(F, N)`` as a channel with every entry animated."""
     count = times.shape[1]
     return Channel(np.zeros((count, 1)), np.arange(count), times[..., None])

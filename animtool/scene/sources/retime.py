@@ -1,4 +1,4 @@
-"""Retiming of takes: pre-roll frames, and frames of a shot."""
+"""Retiming of takes: pre-roll frames, frames of a shot, and shots without any."""
 
 from __future__ import annotations
 
@@ -9,29 +9,31 @@ from fractions import Fraction
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
+from animtool.core.timecode import parse_timecode
 from animtool.edit.between import TakeSampler
 from animtool.edit.travel import nearby_positions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
-from animtool.scene.sources.shot_errors import no_frames_error
 
 
 @dataclass(frozen=True, slots=True)
 class Preroll:
-    """Frames that passes with state need before the output."""
+    """Frames before the output in which passes with state, such as springs, start."""
 
     # Frame of the take's start; None is as its source states, or 1.
     start: Fraction | None
-    first: int  # first frame of the preroll
+    first_frame: int  # first frame of the preroll
     fps: Fraction | None  # frames a second of the output; None is the take's rate
 
-    def frames(self, stream: TakeStream) -> int:
+    def missing_frame_count(self, stream: TakeStream) -> int:
         """Return the number of frames that a take lacks before its first."""
         start = self.start if self.start is not None else stream.start
-        start_offset = (Fraction(1) if start is None else start) - self.first
+        start_offset = (Fraction(1) if start is None else start) - self.first_frame
         rate = stream.fps / stream.step
         return max(0, math.ceil(start_offset * rate / (self.fps or stream.fps)))
 
@@ -65,7 +67,9 @@ def with_preroll(stream: TakeStream, count: int) -> TakeStream:
     )
 
 
-def drop_first(stream: TakeStream, count: int, start: Fraction | None) -> TakeStream:
+def drop_first_frames(
+    stream: TakeStream, count: int, start: Fraction | None
+) -> TakeStream:
     """Return a take without its first frames.
 
     ``start`` is the time code of the first frame that remains; None leaves it unstated.
@@ -141,20 +145,98 @@ def _hold_pose(stream: TakeStream, shot: Shot) -> TakeStream:
     """Return one pose of a take in every frame of a shot; it is read completely."""
     assert shot.fps is not None
     assert shot.media_in is not None
-    take, count = stream.collect(), shot.end - shot.start + 1
-    sample = shot.media_in * stream.fps / stream.step
-    if not 0 <= sample < take.clock.count:
-        length = take.clock.count / take.clock.rate
-        raise no_frames_error(shot, shot.start, shot.end, length)
-    position = nearby_positions([float(sample)], take.clock.count)
+    take, frame_count = stream.collect(), shot.end - shot.start + 1
+    sample_index = shot.media_in * stream.fps / stream.step
+    if not 0 <= sample_index < take.clock.count:
+        take_seconds = take.clock.count / take.clock.rate
+        raise no_frames_error(shot, shot.start, shot.end, take_seconds)
+    position = nearby_positions([float(sample_index)], take.clock.count)
     pose = TakeSampler.from_take(take).sample(position)
     return replace(
         stream,
         fps=shot.fps,
         start=Fraction(shot.start),
         step=Fraction(1),
-        blocks=iter([pose.select(np.zeros(count, np.int64))]),
+        blocks=iter([pose.select(np.zeros(frame_count, np.int64))]),
         curve=None,
         count=0,
         control_curves={},
     )
+
+
+SECONDS_PER_HOUR = 3600
+# A distance within this time of a multiple of an hour suggests a wrong hour [s].
+HOUR_TOLERANCE = 600
+
+
+def no_frames_error(
+    shot: Shot, first: int, last: int, length: Fraction, path: str | None = None
+) -> OptionError:
+    """Return the error of a shot whose frames are all outside its take (SCN042).
+
+    The shot places its media. ``length`` is the duration of the take [s].
+    """
+    prefix = f"shot {shot.name}: " if shot.name else ""
+    message, hint = f"{prefix}the take has no frame from {first} to {last}", None
+    if shot.timecode is not None:
+        distance, hint = range_distance(shot, first, last, length)
+        message += f"; {distance}"
+    return OptionError(Fault("SCN042", message, path, (), hint))
+
+
+def range_distance(
+    shot: Shot, first: int, last: int, length: Fraction
+) -> tuple[str, str]:
+    """Return the distance of a shot's frames from its take as text, and a hint.
+
+    ``length`` is the duration of the take [s].
+    """
+    media_timecode = shot.timecode
+    assert media_timecode is not None
+    shot_seconds = sorted(shot.seconds_at(frame) for frame in (first, last))
+    shot_range = " to ".join(map(media_timecode.label, shot_seconds))
+    frame_seconds = 1 / media_timecode.rate
+    take_seconds = Fraction(0), max(Fraction(0), length - frame_seconds)
+    take_range = " to ".join(map(media_timecode.label, take_seconds))
+    side = "after" if shot_seconds[0] > 0 else "before"
+    message = f"the range shows {shot_range}, but the take is {take_range}: the range "
+    message += f"is {_distance_text(shot_seconds[0])} {side} it"
+    timecode_text = _likely_first_timecode(shot, shot_seconds[0], length)
+    hint = "if the first timecode of the take is different, set it: "
+    hint += argument("first_timecode", timecode_text)
+    hint += ", or `first_timecode` under [timeline] in animtool.toml or in "
+    hint += "metadata.animtool of the clip"
+    return message, hint
+
+
+def _distance_text(seconds: Fraction) -> str:
+    """Return a distance in time as text, with hours if it is close to some.
+
+    >>> _distance_text(Fraction(3601)), _distance_text(Fraction(-12))
+    ('about an hour (3601 s)', '12 s')
+    """
+    duration = abs(seconds)
+    hours = round(duration / SECONDS_PER_HOUR)
+    seconds_text = f"{float(duration):.7g} s"
+    if hours and abs(duration - hours * SECONDS_PER_HOUR) < HOUR_TOLERANCE:
+        return f"about {'an hour' if hours == 1 else f'{hours} hours'} ({seconds_text})"
+    return seconds_text
+
+
+def _likely_first_timecode(shot: Shot, shot_seconds: Fraction, length: Fraction) -> str:
+    """Return the full hour that is likely the take's first time code, or a pattern."""
+    media_timecode = shot.timecode
+    assert media_timecode is not None
+    label = media_timecode.label(shot_seconds)
+    hour_text = f"{label[:2]}:00:00{';' if media_timecode.drop_frame else ':'}00"
+    try:
+        begin_seconds = (
+            parse_timecode(hour_text, media_timecode.rate) / media_timecode.rate
+        )
+    except ValueError:
+        return "HH:MM:SS:FF"
+    is_plausible = (
+        begin_seconds <= media_timecode.first + shot_seconds < begin_seconds + length
+        and begin_seconds != media_timecode.first
+    )
+    return hour_text if is_plausible else "HH:MM:SS:FF"

@@ -15,7 +15,7 @@ from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
 from animtool.motion.take import TakeStream
 from animtool.scene.file.entries import SceneSystem
-from animtool.scene.systems.character_motion import motion_of
+from animtool.scene.systems.character_motion import motion_from_take
 from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import character_cache, open_systems
 from animtool.scene.systems.surroundings import Surroundings
@@ -27,7 +27,7 @@ def with_colliders(
     path: Path,
     stream: TakeStream,
     options: Any,
-    lead: float = 0.0,
+    lead_seconds: float = 0.0,
 ) -> tuple[TakeStream, Colliders]:
     """Return a take and the colliders that the options of a pass name.
 
@@ -45,8 +45,8 @@ def with_colliders(
     if system_indices:
         take = stream.collect()
         stream = replace(stream, blocks=iter([take.motion]))
-        character = motion_of(path, take)
-        character = replace(character, times=character.times + lead)
+        character = motion_from_take(path, take)
+        character = replace(character, times=character.times + lead_seconds)
         last = float(character.times[-1])
         simulated_systems = [systems[i] for i in system_indices]
         running_systems = open_systems(simulated_systems, last, character)

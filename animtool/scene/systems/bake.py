@@ -27,7 +27,7 @@ from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.documents.ignore import without_accepted
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.prims import BakePlan, BakeState, OneFile, TakeReport
+from animtool.scene.bake.prims import BakePlan, BakeState, SingleFile, TakeReport
 from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterRecorder
@@ -70,9 +70,9 @@ class SystemPrims:
     # Displacement of a layer; None is the identity.
     displacement: Displacement | None = None
 
-    def seconds(self, code: Fraction) -> float:
+    def seconds(self, time_code: Fraction) -> float:
         """Return the simulation time of a time code [s]."""
-        return float((code - self.start) / self.job.metadata.span.fps)
+        return float((time_code - self.start) / self.job.metadata.span.fps)
 
     def author(self, state: BakeState) -> None:
         """Set up the simulation; without chunks it runs when the layer is saved."""
@@ -89,12 +89,12 @@ class SystemPrims:
         last_seconds = prims.seconds(codes[-1])
         run = SystemRun(systems, last_seconds, character, state.progress, main_rig)
         clock = (codes, prims.start, job.metadata.span.fps)
-        coded_frames = run.rows(*clock, keep_stopped=plan.options.keep_stopped)
+        coded_frames = run.coded_frames(*clock, keep_stopped=plan.options.keep_stopped)
         if state.report is None:
             self._begin(state)
         frames = SystemFrames(self, job, run, coded_frames, plan.options.strict)
         if plan.options.chunk is not None:
-            frames.chunk(state.layer, plan.output, plan.options.chunk)
+            frames.write_chunks(state.layer, plan.output, plan.options.chunk)
         state.deferred_frames = frames
 
     def _with_take_codes(self, recorder: CharacterRecorder) -> SystemPrims:
@@ -113,11 +113,11 @@ class SystemPrims:
         """Create a layer that contains only systems, and its report."""
         plan, metadata = state.plan, self.job.metadata
         layer = new_simulated_layer(self.job, plan.output)
-        count = len(self.codes)
-        take = WrittenTake("", metadata.span, samples=count)
+        sample_count = len(self.codes)
+        take = WrittenTake("", metadata.span, samples=sample_count)
         result = UsdResult(layer_span(layer), takes=[take])
-        state.layer, state.files = layer, OneFile(layer, plan.output, result)
-        report = TakeReport(self.scene.path, take, count, metadata.span.fps, "")
+        state.layer, state.files = layer, SingleFile(layer, plan.output, result)
+        report = TakeReport(self.scene.path, take, sample_count, metadata.span.fps, "")
         state.report = plan.report(
             [report],
             result,
@@ -135,28 +135,28 @@ class SystemFrames:
     job: SimulatedJob
     run: SystemRun
     coded_frames: Iterator[Any]  # rows of all systems, frame by frame
-    strict: bool
+    is_strict: bool
     # Set after simulating: chunk files, results of the meshes, and the layer of a run
     # that stopped early.
-    files: list[Path] = field(default_factory=list)
-    written: list[CachedMesh] = field(default_factory=list)
+    chunk_files: list[Path] = field(default_factory=list)
+    written_meshes: list[CachedMesh] = field(default_factory=list)
     stopped_layer: Any = None
     notices: list[Fault] = field(default_factory=list)  # of the simulation
 
-    def chunk(self, layer: Any, output: Path, size: int) -> None:
+    def write_chunks(self, layer: Any, output: Path, size: int) -> None:
         """Simulate into files of ``size`` samples each, joined by a layer."""
         clips = system_clip_files(output)
-        self.files, self.written = write_simulated_chunks(
+        self.chunk_files, self.written_meshes = write_simulated_chunks(
             self.job, self.coded_frames, layer, clips, size
         )
         self._finish(layer)
 
     def save(self, layer: Any, path: Path) -> int:
         """Write a layer, and simulate the frames that are not in chunks into it."""
-        if self.files:
+        if self.chunk_files:
             return save_layer(layer, path)
         with growing_layer(layer, path) as growing_file:
-            self.written = list(
+            self.written_meshes = list(
                 write_simulated(self.job, self.coded_frames, growing_file)
             )
             self._finish(growing_file.layer)
@@ -170,19 +170,19 @@ class SystemFrames:
             span = replace(metadata.span, last=prims.codes[run.frames_done - 1])
             author_metadata(layer, replace(metadata, span=span))
             self.stopped_layer = layer
-        run.add_notices(self.written)
+        run.add_notices(self.written_meshes)
         self.notices = without_accepted(run.notices)
-        refuse_warnings(self.notices, strict=self.strict)
+        refuse_warnings(self.notices, strict=self.is_strict)
         run.save_states(prims.scene.path.resolve().parent)
 
     def complete(self, state: BakeState) -> None:
         """Add the simulated frames to the report."""
-        report, run, written_meshes = state.report, self.run, self.written
+        report, run, written_meshes = state.report, self.run, self.written_meshes
         assert report is not None
         report.notices += self.notices
         report.stopped = run.stop_error
-        report.result.outputs[:0] = self.files
-        report.result.bytes += sum(map(written_size, self.files))
+        report.result.outputs[:0] = self.chunk_files
+        report.result.bytes += sum(map(written_size, self.chunk_files))
         for take in report.takes:
             take.meshes += run.reports(written_meshes, take.source.name)
             take.simulated += run.simulated
@@ -197,13 +197,13 @@ class SystemFrames:
         (take,) = report.takes
         take.written.sampled = list(worst_mesh.sampled)
         take.written.rounding = Rounding(worst_mesh.error, worst_mesh.error_code)
-        worst_index = run.written[written_meshes.index(worst_mesh)]
+        worst_index = run.written_indices[written_meshes.index(worst_mesh)]
         take.error_joint = self.prims.scene.systems[worst_index].name
-        state.read += run.seconds
+        state.read_seconds += run.seconds
 
 
 def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
-    """Return the plan of a scene's systems."""
+    """Return the prims of systems in a scene without a source (SCN061, SCN062)."""
     _refuse_character_options(scene, options)
     fps = options.fps or DEFAULT_FPS
     frames = options.frame_range
@@ -212,7 +212,7 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
         hint = "set the frames to write: range: [1, 120]"
         raise OptionError(Fault("SCN061", message, str(scene.path), (), hint))
     start = _start_code(scene, options, frames)
-    codes = _codes(frames, options.samples)
+    codes = _time_codes(frames, options.samples)
     model = model_path(options.prim_path, source_stem(scene.path))
     unit = 1.0 if options.to_units is None else options.to_units.meters
     up_axis = options.to_up or UpAxis.Y
@@ -242,14 +242,14 @@ def unmoved_frames_warning(scene: Scene, options: BakeOptions) -> list[Fault]:
     seconds = float((frames.last - start) / fps)
     if seconds >= -max(prerolls, default=0.0):
         return []
-    count = frames.last - frames.first + 1
+    frame_count = frames.last - frames.first + 1
     frames_text = f"frame {frames.first} is"
-    if count > 1:
+    if frame_count > 1:
         frames_text = f"all frames, {frames.first} to {frames.last}, are"
     message = f"{frames_text} before the simulation starts, at frame "
     message += f"{frame_label(start)}: nothing moves"
     first = ceil(start)
-    hint = argument("frame_range", f"{first}-{first + count - 1}")
+    hint = argument("frame_range", f"{first}-{first + frame_count - 1}")
     location = next(
         (output.location for output in scene.outputs if output.bake is options), None
     )
@@ -259,7 +259,9 @@ def unmoved_frames_warning(scene: Scene, options: BakeOptions) -> list[Fault]:
     return [replace(fault, where=None, path=str(scene.path))]
 
 
-def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction, ...]:
+def _time_codes(
+    frames: FrameRange, offsets: tuple[Fraction, ...]
+) -> tuple[Fraction, ...]:
     frame_numbers = range(frames.first, frames.last + 1, frames.step)
     count = len(frame_numbers) * max(1, len(offsets))
     if count > MAX_FRAMES:
@@ -271,9 +273,9 @@ def _codes(frames: FrameRange, offsets: tuple[Fraction, ...]) -> tuple[Fraction,
 
 
 def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
-    """Refuse options that need a character."""
-    refused = refused_options(options, "systems")
-    option_names = [option.label for option in refused.values()]
+    """Refuse options that need a character (SCN062)."""
+    refused_by_name = refused_options(options, "systems")
+    option_names = [option.label for option in refused_by_name.values()]
     if options.form in {LayerForm.SPLIT, LayerForm.LAYER, LayerForm.LIBRARY}:
         option_names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
@@ -305,7 +307,7 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     if target is not None:
         from animtool.usd.props.placement import parent_from_take
 
-        joint_map, path = plan.takes[0].mapping, f"{model}/system"
+        joint_map, path = plan.takes[0].joint_map, f"{model}/system"
         rig_from_take = None if joint_map is None else joint_map.rig_from_take
         displacement = partial(parent_from_take, target, rig_from_take, path)
     return SystemPrims(
@@ -314,13 +316,13 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
 
 
 def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
-    """Refuse systems whose prim paths are already used."""
+    """Refuse systems whose prim paths a character, prop or rig has (SCN068)."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
     owner_by_path = {paths.root: "the character"}
     owner_by_path |= {path: "a prop" for path in prop_paths(tracks, paths.model)}
     faults = []
-    written_systems = [system for system in scene.systems if system.written]
+    written_systems = [system for system in scene.systems if system.is_written]
     for system, path in zip(written_systems, job.paths, strict=True):
         paths_in_use = owner_by_path.items()
         owners = [owner for prim, owner in paths_in_use if paths_overlap(path, prim)]

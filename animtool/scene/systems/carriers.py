@@ -26,13 +26,13 @@ from animtool.sim.colliders import Poses, joint_poses
 from animtool.systems.framework.fields import PlacedModel
 
 # Samples a second of a prim's poses, which are linear between them [1/s].
-PRIM_RATE = 120
+PRIM_SAMPLE_RATE = 120
 # Maximum number of sampled times of a prim.
-MAX_TIMES = 100_000
+MAX_PRIM_SAMPLES = 100_000
 
 
 @dataclass(frozen=True, slots=True)
-class OnJoint:
+class JointCarrier:
     """A joint of a character."""
 
     file: Path  # a clip or a scene
@@ -49,8 +49,8 @@ class OnJoint:
         return Fault("SIM053", message, hint=hint, where="joint")
 
     def poses(self, characters: CharacterMotions) -> Poses:
-        """Return the joint's poses over time."""
-        character = characters.of(self.file)
+        """Return the poses of the joint at the frames of its character."""
+        character = characters.for_file(self.file)
         _raise_fault(self.fault(character.rig), self.location)
         return joint_poses(
             character.world, character.rig.index(self.joint), character.times
@@ -58,7 +58,7 @@ class OnJoint:
 
 
 @dataclass(frozen=True, slots=True)
-class OnVertex:
+class VertexCarrier:
     """A vertex of a character's mesh."""
 
     file: Path  # a clip or a scene
@@ -81,7 +81,7 @@ class OnVertex:
 
     def poses(self, characters: CharacterMotions) -> Poses:
         """Return the vertex positions over time, with constant rotation."""
-        character = characters.of(self.file)
+        character = characters.for_file(self.file)
         _raise_fault(self.fault(character.rig), self.location)
         # The next block reuses the buffer of the last one.
         position_blocks = [
@@ -104,7 +104,7 @@ def _raise_fault(fault: Fault | None, location: EntryLocation | None) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class OnPrim:
+class PrimCarrier:
     """A prim of a USD file."""
 
     file: Path
@@ -112,7 +112,7 @@ class OnPrim:
     frame: float | None = None  # time code at 0 s; None is the first
 
     def poses(self, characters: CharacterMotions) -> Poses:  # noqa: ARG002
-        """Return the prim's poses over time."""
+        """Return the poses of the prim; characters are not needed."""
         return self.sample_poses()
 
     def sample_poses(self) -> Poses:
@@ -125,8 +125,10 @@ class OnPrim:
             first, last = map(float, prop.span)
             start = first if self.frame is None else self.frame
             seconds = (last - first) / float(prop.fps)
-            count = min(int(np.ceil(seconds * PRIM_RATE)) + 1, MAX_TIMES)
-            codes = np.linspace(first, last, max(count, 2))
+            sample_count = min(
+                int(np.ceil(seconds * PRIM_SAMPLE_RATE)) + 1, MAX_PRIM_SAMPLES
+            )
+            codes = np.linspace(first, last, max(sample_count, 2))
             codes = np.unique(np.concatenate([codes, prop.keys]))
             codes = codes[(codes >= first) & (codes <= last)]
         sample = prop.track.sample(codes)

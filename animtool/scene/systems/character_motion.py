@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import has_kind_suffix, name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.documents.fields import record_of
+from animtool.documents.fields import record_from_model
 from animtool.maths.faces import triangulate
 from animtool.motion.motion import Motion
 from animtool.motion.reorient import reorient
@@ -55,14 +55,14 @@ class CharacterMotions:
 
     by_path: dict[Path, CharacterMotion] = field(default_factory=dict)
 
-    def of(self, path: Path) -> CharacterMotion:
+    def for_file(self, path: Path) -> CharacterMotion:
         """Return the character of a clip or scene file; read it once."""
         if path not in self.by_path:
-            self.by_path[path] = motion_of(path, open_take(path).collect())
+            self.by_path[path] = motion_from_take(path, open_take(path).collect())
         return self.by_path[path]
 
 
-def motion_of(path: Path, take: Take) -> CharacterMotion:
+def motion_from_take(path: Path, take: Take) -> CharacterMotion:
     """Return a take as character motion, the first frame at 0 s."""
     if take.rig.up is not UpAxis.Y:
         take = reorient(TakeStream.of(take), UpAxis.Y).collect()
@@ -81,7 +81,7 @@ def open_take(path: Path) -> TakeStream:
 
 
 # Number of cached frames: two for this step and two for the previous one.
-CACHED_FRAMES = 4
+CACHED_FRAME_COUNT = 4
 
 
 def missing_mesh_fault(rig: Rig, name: str) -> Fault | None:
@@ -108,7 +108,9 @@ class CharacterSkin:
         fault = missing_mesh_fault(rig, name)
         if fault is not None:
             raise OptionError(fault)
-        (self.surface,) = [each for each in surfaces_of(rig) if each.name == name]
+        (self.surface,) = [
+            surface for surface in surfaces_of(rig) if surface.name == name
+        ]
         shapes = [shape.name for shape in rig.shapes]
         matrices, surfaces = bind_matrices(rig), [self.surface]
         (mesh,) = character_meshes(surfaces, rig.names, matrices, shapes)
@@ -143,7 +145,7 @@ class SkinMotion:
         self._times = character.times
         surface = self._skin.surface
         self._faces = triangulate(surface.counts, surface.indices)
-        self._frame = lru_cache(CACHED_FRAMES)(self._skin.frame)
+        self._frame = lru_cache(CACHED_FRAME_COUNT)(self._skin.frame)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(V, 3)`` at a time [s] [m]."""
@@ -179,13 +181,15 @@ def character_colliders(
     colliders: list[Collider] = []
     sheets: list[Sheet] = []
     for (file, mesh), model in distinct_models.items():
-        character = characters.of(Path(file))
+        character = characters.for_file(Path(file))
         if mesh is None:
-            template = record_of(Collider, model, shape=Sphere(1.0))
+            template = record_from_model(Collider, model, shape=Sphere(1.0))
             colliders += character.colliders(template)
         else:
             values = {"motion": SkinMotion(character, mesh), "name": mesh}
-            sheets.append(record_of(Sheet, model, radius=model.margin, **values))
+            sheets.append(
+                record_from_model(Sheet, model, radius=model.margin, **values)
+            )
     return colliders, sheets
 
 
@@ -219,7 +223,7 @@ class CharacterRecorder:
         return replace(stream, blocks=self._record_blocks(stream.blocks))
 
     def record_codes(self, codes: FloatArray) -> None:
-        """Record time codes of written frames ``(F,)``."""
+        """Append the time codes of a written block ``(F,)``."""
         self._codes.append(codes)
 
     def motion(self, path: Path) -> CharacterMotion | None:
@@ -234,7 +238,7 @@ class CharacterRecorder:
             times = time_codes(stream.first_frame, stream.step, stream.count)
             motion = _joints_and_shapes(stream.curve(times))
         clock = Clock(stream.fps, stream.first_frame, stream.step, motion.frames)
-        return motion_of(path, Take(stream.rig, clock, motion))
+        return motion_from_take(path, Take(stream.rig, clock, motion))
 
     def _record_blocks(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
         for block in blocks:

@@ -20,7 +20,7 @@ from animtool.motion.frames import MeshFrame
 from animtool.motion.physics import Physics
 from animtool.motion.transforms import PropRequest
 from animtool.scene.file.entries import SystemSetup, entry_location
-from animtool.scene.systems.carriers import OnJoint, OnPrim, OnVertex
+from animtool.scene.systems.carriers import JointCarrier, PrimCarrier, VertexCarrier
 from animtool.scene.systems.character_motion import open_take
 from animtool.scene.systems.entries import POSE_KEYS, EntryReader
 from animtool.scene.systems.surroundings import Surroundings
@@ -68,13 +68,15 @@ class Prototype:
     path: Path
     prim: str | None  # path of a prim in a USD file
     mesh: str | None  # name of a mesh in a rig
-    samples: int  # number of phases of the cycle
+    phase_count: int  # number of phases of the cycle
 
     def __call__(self) -> tuple[MeshFrame, ...]:
         """Return the mesh at each phase of the cycle; a single mesh if it is static."""
-        sampler = self._rig_sampler() if self.prim is None else self._stage_sampler()
-        sample_frame, span = sampler
-        fractions = [0.0] if span is None else np.arange(self.samples) / self.samples
+        open_sampler = self._rig_sampler if self.prim is None else self._stage_sampler
+        sample_frame, span = open_sampler()
+        fractions = (
+            [0.0] if span is None else np.arange(self.phase_count) / self.phase_count
+        )
         begin, end = span or (0.0, 0.0)
         times = (begin + (end - begin) * float(fraction) for fraction in fractions)
         return tuple(map(sample_frame, times))
@@ -86,9 +88,9 @@ class Prototype:
         assert self.prim is not None
         source = open_mesh(self.path, self.prim, UpAxis.Y)
 
-        def frame_at_code(code: float) -> MeshFrame:
-            surface = source.sample(None if source.span is None else code)
-            return _frame(surface.points, surface.counts, surface.indices)
+        def frame_at_code(time_code: float) -> MeshFrame:
+            surface = source.sample(None if source.span is None else time_code)
+            return _mesh_frame(surface.points, surface.counts, surface.indices)
 
         return frame_at_code, source.span
 
@@ -97,12 +99,12 @@ class Prototype:
         from animtool.scene.systems.character_motion import CharacterMotions, SkinMotion
 
         assert self.mesh is not None
-        character = CharacterMotions().of(self.path)
+        character = CharacterMotions().for_file(self.path)
         motion = SkinMotion(character, self.mesh)
         counts, indices = motion.faces
 
         def frame_at_time(t: float) -> MeshFrame:
-            return _frame(motion.points(t), counts, indices)
+            return _mesh_frame(motion.points(t), counts, indices)
 
         first, last = character.times[[0, -1]].tolist()
         return frame_at_time, (first, last) if last > first else None
@@ -111,13 +113,13 @@ class Prototype:
 _FrameSampler = tuple[Callable[[float], MeshFrame], tuple[float, float] | None]
 
 
-def _frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame:
+def _mesh_frame(points: FloatArray, counts: IntArray, indices: IntArray) -> MeshFrame:
     return MeshFrame(
         points, np.zeros_like(points), counts.astype(np.int64), indices.astype(np.int64)
     )
 
 
-class SpecPartReader(EntryReader):
+class SpecEntryReader(EntryReader):
     """Reads the entries of a system spec by the types of their keys.
 
     Attributes:
@@ -140,66 +142,74 @@ class SpecPartReader(EntryReader):
         A list has one element per valid entry. A nested model becomes such a mapping,
         or its record; an entry with a position includes its ``poses``.
         """
-        parts: dict[str, Any] = {}
-        check = not isinstance(model, RecordModel)
+        entries: dict[str, Any] = {}
+        is_checked = not isinstance(model, RecordModel)
         if isinstance(model, PlacedModel):
             poses = self.poses(location, model, model.code)
-            parts["poses"] = self._checked_part(location, poses, check=check)
+            entries["poses"] = self._checked_entry(
+                location, poses, is_checked=is_checked
+            )
         for key, field_info in type(model).model_fields.items():
             if keys is not None and key not in keys:
                 continue
             value = getattr(model, key)
             is_placed = isinstance(model, PlacedModel) and key in POSE_KEYS
             field_type = (field_info.annotation, field_info.metadata)
-            part_reader = self._reader(*field_type, check=check)
-            if is_placed or part_reader is None or value is None:
+            read_entry = self._reader(*field_type, is_checked=is_checked)
+            if is_placed or read_entry is None or value is None:
                 continue
-            if FieldKind.ARRAY in _marks(*field_type):
-                values = part_reader((*location, key), value)
+            if FieldKind.ARRAY in _field_markers(*field_type):
+                values = read_entry((*location, key), value)
                 factor = self.units.array_factor(field_info.description)
-                parts[key] = values
+                entries[key] = values
                 if values is not None and factor != 1.0:
-                    parts[key] = values * factor
+                    entries[key] = values * factor
             elif isinstance(value, list):
-                parts[key] = self.read_each((*location, key), value, part_reader)
+                entries[key] = self.read_each((*location, key), value, read_entry)
             else:
-                parts[key] = part_reader((*location, key), value)
-        return parts
+                entries[key] = read_entry((*location, key), value)
+        return entries
 
     def entry(self, location: Location, model: FileModel) -> Any:
         """Return the parsed entries of a model, or its record; None if it is faulty."""
         self.check_ranges(location, model)
-        parts = self.entry_values(location, model)
+        entries = self.entry_values(location, model)
         if not isinstance(model, RecordModel):
-            return parts
-        complete = all(part is not None for part in parts.values())
-        record = model.record(parts) if complete else None
+            return entries
+        is_complete = all(entry is not None for entry in entries.values())
+        record = model.record(entries) if is_complete else None
         return self.check_record(location, record, model)
 
     def _reader(
-        self, annotation: Any, marks: Sequence[Any] = (), *, check: bool
+        self, annotation: Any, markers: Sequence[Any] = (), *, is_checked: bool
     ) -> Reader | None:
         """Return the method that reads entries of a type; None for plain values.
 
-        With ``check``, the faults of the parsed entries are recorded too.
+        With ``is_checked``, the faults of the parsed entries are recorded too.
         """
-        for mark in marks:
-            if isinstance(mark, FieldKind):
-                read: Reader = getattr(self, READERS[mark])
-                if mark in {FieldKind.EMITTER_SHAPE, FieldKind.SHAPE}:
-                    return lambda location, base: self._checked_part(
-                        location, read(location, base), check=check
+        for marker in markers:
+            if isinstance(marker, FieldKind):
+                read: Reader = getattr(self, READER_METHODS[marker])
+                if marker in {FieldKind.EMITTER_SHAPE, FieldKind.SHAPE}:
+                    return lambda location, base: self._checked_entry(
+                        location, read(location, base), is_checked=is_checked
                     )
                 return read
         if get_origin(annotation) is Annotated:
-            marks = annotation.__metadata__
-            return self._reader(annotation.__origin__, marks, check=check)
+            markers = annotation.__metadata__
+            return self._reader(annotation.__origin__, markers, is_checked=is_checked)
         if isinstance(annotation, type) and issubclass(annotation, FileModel):
-            readers = (READERS[base] for base in annotation.__mro__ if base in READERS)
+            readers = (
+                READER_METHODS[base]
+                for base in annotation.__mro__
+                if base in READER_METHODS
+            )
             reader: Reader = getattr(self, next(readers, "entry"))
             return reader
-        item_type = (self._reader(base, check=check) for base in get_args(annotation))
-        return next((read for read in item_type if read is not None), None)
+        item_readers = (
+            self._reader(base, is_checked=is_checked) for base in get_args(annotation)
+        )
+        return next((read for read in item_readers if read is not None), None)
 
     def prototype(self, location: Location, model: PrototypeModel) -> Prototype | None:
         """Return the mesh to copy; the file of a USD prim is checked immediately."""
@@ -229,7 +239,7 @@ class SpecPartReader(EntryReader):
         return None if self.try_read(location, source) is None else source
 
     def physics(self, location: Location, model: PhysicsStageModel) -> Physics | None:
-        """Return the UsdPhysics bodies of a stage."""
+        """Return the UsdPhysics bodies of a stage; None with faults (SIM051)."""
         from animtool.usd.physics.read import read_bodies
 
         path = self.find_followed((*location, "file"), model.file)
@@ -261,11 +271,11 @@ class SpecPartReader(EntryReader):
         if path is None:
             return None
         read = partial(read_static_mesh, path, model.prim, UpAxis.Y)
-        return self.try_read((*location, "prim"), read, kind=OptionError)
+        return self.try_read((*location, "prim"), read, error_type=OptionError)
 
     def carrying_character(
         self, entry_path: Location, model: CarryingJointModel | CarryingVertexModel
-    ) -> OnJoint | OnVertex | None:
+    ) -> JointCarrier | VertexCarrier | None:
         """Return a joint or vertex as a carrier.
 
         It is checked now; the scene's own character is checked later.
@@ -274,11 +284,11 @@ class SpecPartReader(EntryReader):
         if path is None:
             return None
         location = entry_location(self.document, entry_path, model)
-        carrier: OnJoint | OnVertex
+        carrier: JointCarrier | VertexCarrier
         if isinstance(model, CarryingJointModel):
-            carrier = OnJoint(path, model.joint, location)
+            carrier = JointCarrier(path, model.joint, location)
         else:
-            carrier = OnVertex(path, model.mesh, model.vertex, location)
+            carrier = VertexCarrier(path, model.mesh, model.vertex, location)
         self.carriers.append(path)
         if path == self.document.path:
             return carrier
@@ -296,8 +306,8 @@ class SpecPartReader(EntryReader):
 
     def carrying_prim(
         self, location: Location, model: CarryingPrimModel
-    ) -> OnPrim | None:
-        """Return a prim as a carrier."""
+    ) -> PrimCarrier | None:
+        """Return a prim of a USD file as a carrier; open it now to check it."""
         from animtool.usd.props.reader import open_prop
 
         path = self.input((*location, "file"), model.file)
@@ -307,7 +317,7 @@ class SpecPartReader(EntryReader):
         request = PropRequest(path, model.prim, model.prim)
         read = partial(open_prop, request, UpAxis.Y)
         self.try_read((*location, "prim"), read, "SIM053")
-        return OnPrim(path, model.prim, model.frame)
+        return PrimCarrier(path, model.prim, model.frame)
 
     def carrying_body(
         self,
@@ -317,16 +327,18 @@ class SpecPartReader(EntryReader):
         """Return a rigid body as a carrier; its system is checked later."""
         return BodyCarrier(model.system, model.body)
 
-    def _checked_part(self, location: Location, part: Any, *, check: bool) -> Any:
+    def _checked_entry(
+        self, location: Location, entry: Any, *, is_checked: bool
+    ) -> Any:
         """Return a parsed entry; if requested, record the faults that it reports."""
-        self.is_valid &= part is not None
-        for reason in part.faults() if check and part is not None else ():
+        self.is_valid &= entry is not None
+        for reason in entry.faults() if is_checked and entry is not None else ():
             self.record_fault(location, Fault("SIM020", reason))
-        return part
+        return entry
 
 
 # Readers of marked entries, or of a model, by the name of the method.
-READERS: Mapping[Any, str] = {
+READER_METHODS: Mapping[Any, str] = {
     FieldKind.ARRAY: "array",
     FieldKind.NAMES: "names",
     FieldKind.FORCE: "force",
@@ -347,12 +359,12 @@ READERS: Mapping[Any, str] = {
 }
 
 
-def _marks(annotation: Any, marks: Sequence[Any]) -> list[Any]:
-    """Return the markers of a type or of its alternatives."""
-    all_marks = [*marks, *getattr(annotation, "__metadata__", ())]
+def _field_markers(annotation: Any, markers: Sequence[Any]) -> list[Any]:
+    """Return the annotations of a type and of its alternatives, such as arrays."""
+    all_markers = [*markers, *getattr(annotation, "__metadata__", ())]
     for alternative in get_args(annotation):
-        all_marks += _marks(alternative, ())
-    return all_marks
+        all_markers += _field_markers(alternative, ())
+    return all_markers
 
 
 # Keys whose values are compared with sizes, and keys of the sizes.
@@ -370,7 +382,7 @@ def read_spec(
     roots: Sequence[Path],
     units: SceneUnits = METRES,
 ) -> SystemSetup | None:
-    """Return the setup of an entry; None if it is faulty.
+    """Return the setup of a system's entry; None if it is faulty.
 
     ``units`` are those of the scene; they also apply to arrays that it names.
 
@@ -380,13 +392,13 @@ def read_spec(
     spec = units.convert(spec)
     # One for the keys of colliders, one for the other keys, which make the record.
     collider_reader, record_reader = (
-        SpecPartReader(document, roots, units) for _ in range(2)
+        SpecEntryReader(document, roots, units) for _ in range(2)
     )
-    collider_parts = collider_reader.entry_values(location, spec, COLLISION_KEYS[:1])
+    parsed_colliders = collider_reader.entry_values(location, spec, COLLISION_KEYS[:1])
     # Named systems are looked up even if other keys are invalid.
-    colliders_are_valid = collider_reader.is_valid
-    collider_parts |= collider_reader.entry_values(location, spec, COLLISION_KEYS[1:])
-    parts = record_reader.entry_values(
+    are_colliders_valid = collider_reader.is_valid
+    parsed_colliders |= collider_reader.entry_values(location, spec, COLLISION_KEYS[1:])
+    entries = record_reader.entry_values(
         location, spec, type(spec).model_fields.keys() - {*COLLISION_KEYS}
     )
     record_reader.check_ranges(location, spec)
@@ -399,26 +411,26 @@ def read_spec(
     warn_of_agents_and_atoms(document, location, stated_values)
     if units.angle == 1.0:
         warn_of_radians(document, location, stated_values)
-    record, faults = spec.build_record(parts)
+    record, faults = spec.build_record(entries)
     for fault in faults:
         key_location = (*location, *parse_location(fault.where or ""))
         document.add(fault.code, key_location, fault.message, fault.hint)
     if record_reader.is_valid:
-        record_reader.record_entry_faults(location, spec, spec.faults(parts))
+        record_reader.record_entry_faults(location, spec, spec.faults(entries))
     resume = None
     if spec.resume is not None:
         resume = record_reader.input((*location, "resume"), spec.resume)
     if spec.save is not None:
         record_reader.output((*location, "save"), spec.save)
     if record is None and (
-        faults or not (colliders_are_valid and record_reader.is_valid)
+        faults or not (are_colliders_valid and record_reader.is_valid)
     ):
         return None
     surroundings = Surroundings(
-        **{key: tuple(parts) for key, parts in collider_parts.items()},
-        tied=tuple(getattr(record, "carrier_bodies", ())),
+        **{key: tuple(values) for key, values in parsed_colliders.items()},
+        carrier_ties=tuple(getattr(record, "carrier_bodies", ())),
         followed_files=(*collider_reader.files, *record_reader.files),
         location=location,
     )
     carriers = tuple(record_reader.carriers)
-    return SystemSetup(spec, surroundings, parts, record, location, carriers, resume)
+    return SystemSetup(spec, surroundings, entries, record, location, carriers, resume)

@@ -14,9 +14,13 @@ from animtool.core.errors import AnimtoolError, Fault, excerpt
 from animtool.core.names import name_hint
 from animtool.core.options import ENTRY_RANGE_MESSAGE, CheckedRecord, range_faults
 from animtool.documents.arrays import load_array
-from animtool.documents.check import FileModel, record_of_options, unknown_options
+from animtool.documents.check import (
+    FileModel,
+    record_from_options,
+    unknown_option_faults,
+)
 from animtool.documents.document import Document, Location
-from animtool.documents.fields import MAX_NUMBER, record_of
+from animtool.documents.fields import MAX_NUMBER, record_from_model
 from animtool.documents.model_faults import LocatedFaults
 from animtool.documents.references import (
     resolve_input,
@@ -24,7 +28,7 @@ from animtool.documents.references import (
     split_reference,
 )
 from animtool.maths import so3
-from animtool.scene.systems.carriers import OnPrim, keyed_poses
+from animtool.scene.systems.carriers import PrimCarrier, keyed_poses
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
 from animtool.systems.framework.conversion import METRES, SceneUnits
@@ -44,7 +48,7 @@ if TYPE_CHECKING:
 
 # Keys of the poses of an entry.
 POSE_KEYS = {"at", "rotate", "moves", "turns", "prim"}
-Kind = TypeVar("Kind")
+ResultT = TypeVar("ResultT")
 RecordT = TypeVar("RecordT", bound=CheckedRecord)
 # Shapes as other tools call them.
 _OTHER_SHAPES = {"ball": "sphere", "cube": "box", "cylinder": "capsule"}
@@ -69,10 +73,10 @@ class EntryReader:
         self.files: list[Path] = []
 
     def record_fault(self, location: Location, fault: Fault) -> None:
-        """Record a fault at a location."""
-        self.is_valid, at_key = False, fault.code == "SCN001"
-        text = (fault.message, fault.hint)
-        self.document.add(fault.code, location, *text, at_key=at_key)
+        """Record a fault at a location; the entry is invalid from then on."""
+        self.is_valid, is_at_key = False, fault.code == "SCN001"
+        message_and_hint = (fault.message, fault.hint)
+        self.document.add(fault.code, location, *message_and_hint, is_at_key=is_at_key)
 
     def record_faults(self, location: Location, faults: LocatedFaults) -> None:
         """Record faults, each at a key below a location."""
@@ -87,17 +91,17 @@ class EntryReader:
     def try_read(
         self,
         location: Location,
-        read: Callable[[], Kind],
+        read: Callable[[], ResultT],
         code: str | None = None,
-        kind: type[AnimtoolError] = AnimtoolError,
-    ) -> Kind | None:
+        error_type: type[AnimtoolError] = AnimtoolError,
+    ) -> ResultT | None:
         """Return the result of a function; None if it raises, with its faults recorded.
 
         With a code, only the first fault is recorded, with that code.
         """
         try:
             return read()
-        except kind as error:
+        except error_type as error:
             faults: Sequence[Fault] = error.faults
             if code is not None:
                 faults = [replace(faults[0], code=code)]
@@ -132,8 +136,8 @@ class EntryReader:
         read: Callable[[Location, Any], Any],
     ) -> list[Any]:
         """Return the parsed entries of a list, without faulty ones."""
-        read_parts = [read((*location, i), model) for i, model in enumerate(models)]
-        return [entry for entry in read_parts if entry is not None]
+        read_entries = [read((*location, i), model) for i, model in enumerate(models)]
+        return [entry for entry in read_entries if entry is not None]
 
     def collision_entries(
         self, location: Location, key: str, models: Iterable[Any]
@@ -156,11 +160,11 @@ class EntryReader:
         poses = None if shape is None else self.poses(location, model, "SIM020")
         collider = None
         if poses is not None:
-            collider = record_of(Collider, model, shape=shape, poses=poses)
+            collider = record_from_model(Collider, model, shape=shape, poses=poses)
         return self.check_record(location, collider, model)
 
     def shape(self, location: Location, entry: NamedOptions) -> Any:
-        """Return a collider shape."""
+        """Return the collider shape of an entry such as ``{sphere: {radius: 1}}``."""
         return self.named_record(location, entry, SHAPES, "shape", "SIM020")
 
     def force(self, location: Location, entry: NamedOptions) -> Force | None:
@@ -168,10 +172,10 @@ class EntryReader:
         from animtool.systems.particles.forces.table import find_force
 
         ((name, options),) = entry.items()
-        kind = self.try_read((*location, name), lambda: find_force(name))
-        if kind is None:
+        force_type = self.try_read((*location, name), lambda: find_force(name))
+        if force_type is None:
             return None
-        force = self.record((*location, name), kind, options or {}, name)
+        force = self.record((*location, name), force_type, options or {}, name)
         for option, reason in [] if force is None else force.faults():
             key = [option] if option in (options or {}) else []
             fault = Fault("SIM022", f"its {option} {reason}")
@@ -210,8 +214,8 @@ class EntryReader:
         if model.prim is not None:
             return self._prim_poses(location, model, entry_poses, code)
         messages: dict[str, str] = {}
-        for pose_key, width in (("moves", 4), ("turns", 5)):
-            rows = np.array(getattr(model, pose_key)).reshape(-1, width)
+        for pose_key, row_length in (("moves", 4), ("turns", 5)):
+            rows = np.array(getattr(model, pose_key)).reshape(-1, row_length)
             if (np.diff(rows[:, 0]) <= 0).any():
                 messages[pose_key] = "its times must ascend"
             elif pose_key == "turns" and not rows[:, 1:].any(axis=1).all():
@@ -223,7 +227,7 @@ class EntryReader:
     def _prim_poses(
         self, location: Location, model: PlacedModel, entry_poses: Poses, code: str
     ) -> Poses | None:
-        """Return the poses of an entry that follows a prim."""
+        """Return the poses of an entry that follows a prim; None if it is faulty."""
         assert model.prim is not None
         for key in ("moves", "turns"):
             if getattr(model, key):
@@ -232,7 +236,7 @@ class EntryReader:
         path = self.find_followed((*location, "prim", "file"), model.prim.file)
         if path is None:
             return None
-        prim = OnPrim(path, model.prim.prim, model.prim.frame)
+        prim = PrimCarrier(path, model.prim.prim, model.prim.frame)
         key_location = (*location, "prim", "prim")
         carrier = self.try_read(key_location, prim.sample_poses, "SIM053")
         if carrier is None:
@@ -302,25 +306,29 @@ class EntryReader:
             fault = Fault(code, f"unknown {noun} {name!r}", hint=hint)
             self.record_fault((*location, name), fault)
             return None
-        location, kind, values = (*location, name), table[name], values or {}
-        if kind is Mesh:
+        location, record_type, values = (*location, name), table[name], values or {}
+        if record_type is Mesh:
             return self._mesh(location, values)
-        if kind is HeightField:
+        if record_type is HeightField:
             return self._height_field(location, values)
-        return self.record(location, kind, values, name)
+        return self.record(location, record_type, values, name)
 
     def record(
-        self, location: Location, kind: type[Kind], values: dict[str, Any], name: str
-    ) -> Kind | None:
+        self,
+        location: Location,
+        record_type: type[ResultT],
+        values: dict[str, Any],
+        name: str,
+    ) -> ResultT | None:
         """Check all options and return their record; None if any is faulty."""
-        record, faults = record_of_options(kind, values, name)
+        record, faults = record_from_options(record_type, values, name)
         self.record_faults(location, faults)
         return None if faults else record
 
     def _mesh(self, location: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh of a file's arrays; None if they are faulty."""
         keys = ["points", "triangles", "closed"]
-        unknown_keys = unknown_options(values, keys, "mesh")
+        unknown_keys = unknown_option_faults(values, keys, "mesh")
         self.record_faults(location, unknown_keys)
         is_closed = values.get("closed", False)
         if not isinstance(is_closed, bool):
@@ -369,14 +377,14 @@ class EntryReader:
         return None
 
     def array(
-        self, location: Location, text: str, default: str | None = None
+        self, location: Location, text: str, default_name: str | None = None
     ) -> npt.NDArray[np.float64] | None:
         """Return the array that a reference names; record a fault if it is unreadable.
 
         ``default`` is the array's name if the text has none; None uses the key.
         """
-        default = str(location[-1]) if default is None else default
-        name, key = split_reference(text, default)
+        default_name = str(location[-1]) if default_name is None else default_name
+        name, key = split_reference(text, default_name)
         path = self.input(location, name)
         if path is None:
             return None
@@ -403,7 +411,7 @@ class EntryReader:
         return path
 
     def output(self, location: Location, name: str) -> None:
-        """Record a fault if a file cannot be written."""
+        """Record a fault if a file to write is outside the allowed folders."""
         reference = (self.document, location, name, self.roots)
         self.is_valid &= resolve_reference(*reference, is_output=True) is not None
 

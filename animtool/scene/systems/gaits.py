@@ -47,16 +47,16 @@ class GaitsSource:
 
 
 def _on_rig(path: Path, rig: Rig) -> Take:
-    """Return the take of a file on a rig."""
+    """Return the take of a file on a rig, retargeted if the joints differ."""
     take = reorient(open_take(path), UpAxis.Y).collect()
-    names = map_names(rig, take.rig)
-    if _is_same(rig, take.rig, names):
-        return replace(take, rig=rig, motion=names.apply(take.motion), tracks=())
+    name_map = map_names(rig, take.rig)
+    if _has_same_joints(rig, take.rig, name_map):
+        return replace(take, rig=rig, motion=name_map.apply(take.motion), tracks=())
     with faults_in(path):
         return retarget_take(take, rig, map_joints(take.rig, rig)).take
 
 
-def _is_same(rig: Rig, other_rig: Rig, names: NameMap) -> bool:
+def _has_same_joints(rig: Rig, other_rig: Rig, names: NameMap) -> bool:
     """Return whether another rig has all joints of a rig at equal positions."""
     if (names.joints < 0).any():
         return False

@@ -22,14 +22,14 @@ def simulation_order(systems: Sequence[SceneSystem]) -> list[list[int]]:
     of the scene.
     """
     groups = joined_groups(systems)
-    group_of = {i: k for k, group in enumerate(groups) for i in group}
+    group_ids = {i: k for k, group in enumerate(groups) for i in group}
     index_by_name = {system.name: i for i, system in reversed(list(enumerate(systems)))}
     sorter: TopologicalSorter[int] = TopologicalSorter()
     for k, group in enumerate(groups):
         needed_groups = {
-            group_of[index_by_name[name]]
+            group_ids[index_by_name[name]]
             for i in group
-            for name, _ in systems[i].setup.surroundings.needs
+            for name, _ in systems[i].setup.surroundings.needed_systems
             if name in index_by_name
         }
         sorter.add(k, *sorted(needed_groups))
@@ -43,7 +43,7 @@ def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[i
     """
     groups = simulation_order(systems)
     needed_names = {
-        name for i in group for name, _ in systems[i].setup.surroundings.needs
+        name for i in group for name, _ in systems[i].setup.surroundings.needed_systems
     }
     system_indices: list[int] = []
     for earlier_group in reversed(groups[: groups.index(list(group))]):
@@ -51,16 +51,16 @@ def dependencies(systems: Sequence[SceneSystem], group: Sequence[int]) -> list[i
             system_indices += earlier_group
             for i in earlier_group:
                 needed_names |= {
-                    name for name, _ in systems[i].setup.surroundings.needs
+                    name for name, _ in systems[i].setup.surroundings.needed_systems
                 }
     return sorted(system_indices)
 
 
 def with_dependencies(
-    systems: Sequence[SceneSystem], requested: Sequence[int]
+    systems: Sequence[SceneSystem], requested_indices: Sequence[int]
 ) -> list[int]:
     """Return the requested systems with all systems that they are joined to or need."""
-    ordered_groups, included_indices = simulation_order(systems), {*requested}
+    ordered_groups, included_indices = simulation_order(systems), {*requested_indices}
     while True:
         needed_indices: set[int] = set()
         for group in ordered_groups:
@@ -71,7 +71,9 @@ def with_dependencies(
         needed_indices |= {
             i
             for i, system in enumerate(systems)
-            if any(name in names for name, _ in system.setup.surroundings.pushes)
+            if any(
+                name in names for name, _ in system.setup.surroundings.pushed_systems
+            )
         }
         if needed_indices == included_indices:
             return sorted(included_indices)
@@ -83,43 +85,43 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
 
     Systems attached to the same rigid bodies are joined too.
     """
-    group_of = list(range(len(systems)))
-    tied_first: dict[str, int] = {}  # rigid systems, by the first that they carry
+    group_ids = list(range(len(systems)))
+    first_by_carrier: dict[str, int] = {}  # rigid systems, by the first that they carry
     for i, system in enumerate(systems):
-        joined_names = {name for name, _ in system.setup.joined}
+        joined_names = {name for name, _ in system.setup.joined_systems}
         joined_indices = [
             other_index
             for other_index, other in enumerate(systems)
             if other.name in joined_names
         ]
         carriers = system.setup.surroundings.carriers
-        joined_indices += [tied_first.setdefault(name, i) for name in carriers]
+        joined_indices += [first_by_carrier.setdefault(name, i) for name in carriers]
         for other_index in joined_indices:
-            new_group, old_group = sorted((group_of[i], group_of[other_index]))
-            group_of = [new_group if g == old_group else g for g in group_of]
+            new_group, old_group = sorted((group_ids[i], group_ids[other_index]))
+            group_ids = [new_group if g == old_group else g for g in group_ids]
     return [
-        [i for i, group in enumerate(group_of) if group == number]
-        for number in sorted(set(group_of))
+        [i for i, group in enumerate(group_ids) if group == group_number]
+        for group_number in sorted(set(group_ids))
     ]
 
 
 def check_links(
     document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
 ) -> None:
-    """Record unknown system names and invalid joins."""
-    valid = len(systems) == len(names)
+    """Record faults of names of systems, of bodies, of cycles and of joins."""
+    is_valid = len(systems) == len(names)
     for system in systems:
         setup, scene = system.setup, (document, system, systems, names)
-        for name, location in setup.joined:
-            valid &= _check_name(*scene, name, location, "weldable")
-        for name, location in setup.surroundings.needs:
-            valid &= _check_name(*scene, name, location, "surface")
-        for name, location in setup.surroundings.pushes if valid else ():
-            valid &= _check_name(*scene, name, location, "rigid")
-        for tie in setup.surroundings.tied if valid else ():
-            valid &= _check_body(document, system, systems, *tie)
-    valid = valid and _check_cycles(document, systems)
-    for group in simulation_order(systems) if valid else ():
+        for name, location in setup.joined_systems:
+            is_valid &= _check_name(*scene, name, location, "weldable")
+        for name, location in setup.surroundings.needed_systems:
+            is_valid &= _check_name(*scene, name, location, "surface")
+        for name, location in setup.surroundings.pushed_systems if is_valid else ():
+            is_valid &= _check_name(*scene, name, location, "rigid")
+        for tie in setup.surroundings.carrier_ties if is_valid else ():
+            is_valid &= _check_body(document, system, systems, *tie)
+    is_valid = is_valid and _check_cycles(document, systems)
+    for group in simulation_order(systems) if is_valid else ():
         if len(group) > 1:
             _check_joined(document, [systems[i] for i in group])
 
@@ -161,7 +163,7 @@ def _check_body(
     key_text: str,
 ) -> bool:
     """Record a fault if a rigid system lacks a body (SIM162)."""
-    specs: list[Any] = [each.setup.spec for each in systems if each.name == name]
+    specs: list[Any] = [other.setup.spec for other in systems if other.name == name]
     if not specs or specs[0].stages:
         return True
     body_names = [model.name for model in specs[0].bodies]
@@ -177,11 +179,13 @@ def _check_body(
 def to_joined_entry(system: SceneSystem) -> JoinedEntry:
     """Return the scene entry of a system, for simulation together with others."""
     setup = system.setup
-    return JoinedEntry(system.name, system.kind, setup.spec, setup.parts, setup.record)
+    return JoinedEntry(
+        system.name, system.kind, setup.spec, setup.entries, setup.record
+    )
 
 
 def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
-    """Record faults of systems that cannot be joined."""
+    """Record faults of joined systems, such as keys that differ (SIM054)."""
     members = [to_joined_entry(system) for system in systems]
     for system in systems:
         record = system.setup.record
@@ -207,8 +211,12 @@ def _check_cycles(document: Document, systems: Sequence[SceneSystem]) -> bool:
     except CycleError as error:
         groups = joined_groups(systems)
         members = {systems[i].name for k in error.args[1] for i in groups[k]}
-        needs = [s.setup.surroundings.needs for s in systems if s.name in members]
-        locations = (loc for links in needs for name, loc in links if name in members)
+        needed_systems = [
+            s.setup.surroundings.needed_systems for s in systems if s.name in members
+        ]
+        locations = (
+            loc for links in needed_systems for name, loc in links if name in members
+        )
         message = f"{listed(sorted(members))} collide with each other in a circle"
         hint = "remove the collision that matters less"
         for location in locations:

@@ -17,7 +17,7 @@ from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import surfaces_of
 from animtool.scene.file.entries import SceneSystem
-from animtool.scene.systems.carriers import OnJoint, OnVertex
+from animtool.scene.systems.carriers import JointCarrier, VertexCarrier
 from animtool.scene.systems.character_motion import CharacterMotion, CharacterMotions
 from animtool.systems.framework.fields import COLLISION_KEYS, PlacedModel
 from animtool.systems.framework.spec import PinnedPoints
@@ -55,11 +55,11 @@ def placement_warnings(
         for pin in _character_pins(system):
             path = pin.carrier.file
             if path not in first_frames.by_path:
-                first_frames.by_path[path] = _first_frame(characters.of(path))
+                first_frames.by_path[path] = _first_frame(characters.for_file(path))
             warnings += _pin_warnings(pin, first_frames, length_unit)
-        rigs = [characters.of(path).rig for path in _characters(system)]
+        rigs = [characters.for_file(path).rig for path in _characters(system)]
         rigs = [main_rig, *rigs] if main_rig is not None else rigs
-        scale_warnings = (_out_of_scale(system, rig, length_unit) for rig in rigs)
+        scale_warnings = (_scale_warnings(system, rig, length_unit) for rig in rigs)
         if not warnings:
             warnings += next(filter(None, map(list, scale_warnings)), [])
         faults += [system.location.locate(fault) for fault in warnings]
@@ -78,15 +78,17 @@ def _characters(system: SceneSystem) -> list[Path]:
 def _character_pins(system: SceneSystem) -> list[PinnedPoints]:
     """Return the pinned points of a system that a character carries."""
     pins = getattr(system.setup.record, "pinned_points", ())
-    return [pin for pin in pins if isinstance(pin.carrier, OnJoint | OnVertex)]
+    return [
+        pin for pin in pins if isinstance(pin.carrier, JointCarrier | VertexCarrier)
+    ]
 
 
-def _out_of_scale(
+def _scale_warnings(
     system: SceneSystem, rig: Rig, length_unit: LengthUnit
 ) -> Iterator[Fault]:
     """Yield a warning if a system fits its character only in the rig's length unit."""
     points = _start_positions(system)
-    joint_size, bounds_size = _sizes(rig)
+    joint_size, bounds_size = _rig_sizes(rig)
     scale = rig.meters_per_unit / length_unit.meters
     if not bounds_size or not len(points) or np.isclose(scale, 1.0):
         return
@@ -120,14 +122,14 @@ def _start_positions(system: SceneSystem) -> FloatArray:
     if positions is not None:
         return positions
     spec = system.setup.spec
-    corners = [
+    entry_positions = [
         entry.at
         for key in type(spec).model_fields.keys() - {*COLLISION_KEYS}
         if isinstance(entries := getattr(spec, key), list)
         for entry in entries
         if isinstance(entry, PlacedModel) and "at" in entry.model_fields_set
     ]
-    return np.array(corners, np.float64).reshape(-1, 3)
+    return np.array(entry_positions, np.float64).reshape(-1, 3)
 
 
 def _bounds_distance(points: FloatArray, other_points: FloatArray) -> float:
@@ -151,33 +153,31 @@ def _first_frame(character: CharacterMotion) -> CharacterMotion:
 
 
 def _pin_warnings(
-    pinned: PinnedPoints, characters: CharacterMotions, length_unit: LengthUnit
+    pinned_points: PinnedPoints, characters: CharacterMotions, length_unit: LengthUnit
 ) -> Iterator[Fault]:
     """Yield a warning if a pin is far from its carrier.
 
     ``length_unit`` is that of the system's lengths.
     """
-    carrier: OnJoint | OnVertex = pinned.carrier
-    rig = characters.of(carrier.file).rig
-    joint_size, bounds_size = _sizes(rig)
-    local_positions = pinned.local_positions(carrier.poses(characters))
+    carrier: JointCarrier | VertexCarrier = pinned_points.carrier
+    rig = characters.for_file(carrier.file).rig
+    joint_size, bounds_size = _rig_sizes(rig)
+    local_positions = pinned_points.local_positions(carrier.poses(characters))
     distance = float(np.linalg.norm(local_positions, axis=-1).min(initial=np.inf))
     if not bounds_size or distance <= bounds_size or not np.isfinite(distance):
         return
-    if isinstance(carrier, OnJoint):
+    if isinstance(carrier, JointCarrier):
         description = f"joint {carrier.joint!r}"
     else:
         description = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
-    message = (
-        f"the pinned end is {plain_number(distance, 4)} m from {description}, but "
-    )
-    message += f"the joints of {rig.name!r} span {plain_number(joint_size)} m"
+    message = f"the pinned end is {plain_number(distance, 4)} m from {description}, "
+    message += f"but the joints of {rig.name!r} span {plain_number(joint_size)} m"
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:
         message += f"; systems use {_UNIT_NAMES[length_unit]}, this rig is in {unit}"
         hint = "; or ".join(filter(None, [_unit_hint(unit), "place it near its pin"]))
-    yield warning("SIM168", message, hint, pinned.where)
+    yield warning("SIM168", message, hint, pinned_points.where)
 
 
 def _unit_hint(unit: str) -> str:
@@ -187,7 +187,7 @@ def _unit_hint(unit: str) -> str:
     return f"units: {{length: {unit}}} in the scene uses the rig's unit"
 
 
-def _sizes(rig: Rig) -> tuple[float, float]:
+def _rig_sizes(rig: Rig) -> tuple[float, float]:
     """Return the longest extent of the resting joints, without and with meshes [m]."""
     point_sets = [rest_world(rig).positions[0]]
     point_sets += [mesh.points for mesh in surfaces_of(rig) if len(mesh.points)]

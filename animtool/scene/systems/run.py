@@ -1,4 +1,4 @@
-"""Simulation of systems over the frames, after a tear pre-pass."""
+"""Simulates systems over the frames of an output, after a tear pre-pass."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ from animtool.usd.props.simulated import SimulatedJob
 
 def last_states(
     systems: Sequence[SceneSystem],
-    requested: Sequence[int],
+    requested_indices: Sequence[int],
     times: Sequence[float],
     character: CharacterMotion | None = None,
     progress: Progress = None,
@@ -57,11 +57,11 @@ def last_states(
     frame on. Therefore the final tears must be known before anything is written. Only
     the requested systems and their dependencies are simulated.
     """
-    system_indices = with_dependencies(systems, requested)
+    system_indices = with_dependencies(systems, requested_indices)
     simulated_systems = [systems[i] for i in system_indices]
     running_systems = open_systems(simulated_systems, times[-1], character)
     entry_runs = zip(system_indices, running_systems, strict=True)
-    runs = {i: entry_run.run for i, entry_run in entry_runs if i in requested}
+    runs = {i: entry_run.run for i, entry_run in entry_runs if i in requested_indices}
     for k, t in enumerate(times):
         for i, run in runs.items():
             with located_systems([systems[i]]):
@@ -87,8 +87,8 @@ class SystemRun:
     Attributes:
         systems: Simulated systems.
         seconds: Time spent on each system [s].
-        written: Indices of the systems to write.
-        stopped: Error that stopped the run before the last frame; None if complete.
+        written_indices: Indices of the systems to write.
+        stop_error: Error that stopped the run before the last frame; None if complete.
         frames_done: Number of simulated frames.
     """
 
@@ -107,12 +107,14 @@ class SystemRun:
         _check_steps(systems, last)
         self.systems = systems
         self.seconds = [0.0] * len(systems)
-        self.written = [i for i, system in enumerate(systems) if system.written]
+        self.written_indices = [
+            i for i, system in enumerate(systems) if system.is_written
+        ]
         self.stop_error: ToleranceError | None = None
         self.frames_done = 0
         self._character = character
         self._phases: ProgressPhases | None = None
-        self._frames: Progress = None
+        self._frame_progress: Progress = None
         # Requested time codes of systems that save states, and the states, by index.
         self._save_codes: dict[int, float | None] = {
             i: system.setup.spec.save_at
@@ -134,14 +136,14 @@ class SystemRun:
         )
 
     def _system_progress(self, last: float) -> SystemProgress | None:
-        """Return the progress callbacks of the systems."""
+        """Return the progress callbacks of the systems; None without progress."""
         if self._phases is None:
             return None
 
         def report_preroll(fraction: float) -> None:
             # Before the first frame is done: a pre-roll, or history for other systems.
-            if self._frames is not None:
-                self._frames(fraction)
+            if self._frame_progress is not None:
+                self._frame_progress(fraction)
 
         return SystemProgress(self._phases, TimeProgress(report_preroll, last))
 
@@ -153,7 +155,7 @@ class SystemRun:
     @property
     def notices(self) -> list[Fault]:
         """Warnings collected so far, each located at its system."""
-        notices = duplicate_prims([self.systems[i] for i in self.written])
+        notices = duplicate_prims([self.systems[i] for i in self.written_indices])
         notices += self._warnings
         for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
             notices += map(system.location.locate, entry_run.notices)
@@ -164,10 +166,10 @@ class SystemRun:
         """Reports of the systems as plain values."""
         return list(filter(None, (entry.report() for entry in self._entry_runs)))
 
-    def rows(
+    def coded_frames(
         self,
         codes: Sequence[Fraction],
-        first: Fraction,
+        start: Fraction,
         fps: Fraction,
         *,
         keep_stopped: bool = False,
@@ -177,20 +179,22 @@ class SystemRun:
         With ``keep_stopped``, frames end before the first one that a system fails to
         reach; if that is the very first frame, the error is raised.
         """
-        times = [float((code - first) / fps) for code in codes]
+        times = [float((code - start) / fps) for code in codes]
         self._check_resumed(codes, times, fps)
         self._run_tear_pre_pass(times)
         show_progress = self._begin_phase(is_last=True)
-        self._frames = show_progress
+        self._frame_progress = show_progress
         for k, (code, t) in enumerate(zip(codes, times, strict=True)):
             try:
-                system_frames = [self._system_frame(i, t) for i in self.written]
+                system_frames = [self._system_frame(i, t) for i in self.written_indices]
             except ToleranceError as error:
                 faults = self._faults_with_frame(code, error)
                 if not (k and keep_stopped):
                     raise ToleranceError(faults) from error
-                kept = f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
-                note = Fault("SIM193", kept, severity=Severity.NOTE)
+                kept_text = (
+                    f"frames {float(codes[0]):g} to {float(codes[k - 1]):g} are kept"
+                )
+                note = Fault("SIM193", kept_text, severity=Severity.NOTE)
                 self.stop_error = ToleranceError([*faults, note])
                 break
             yield float(code), system_frames
@@ -225,35 +229,39 @@ class SystemRun:
         for i, save_code in self._save_codes.items():
             code = self._saved_states[i][0] if i in self._saved_states else None
             if save_code is not None and code != save_code:
-                saved = "nothing" if code is None else f"the state of frame {code:g}"
-                message = f"save_at is {save_code:g}, which is not a frame: {saved} is "
-                message += "saved"
+                saved_text = (
+                    "nothing" if code is None else f"the state of frame {code:g}"
+                )
+                message = f"save_at is {save_code:g}, which is not a frame: "
+                message += f"{saved_text} is saved"
                 hint = "use one of the frames that are written"
                 notice = warning("SIM185", message, hint)
                 self._warnings.append(self.systems[i].location.locate(notice))
 
     def _run_tear_pre_pass(self, times: Sequence[float]) -> None:
         """Simulate tearing systems once and give them their final states."""
-        runs = {i: self._entry_runs[i].run for i in self.written}
-        tearing = {
+        runs = {i: self._entry_runs[i].run for i in self.written_indices}
+        tearing_simulations = {
             i: simulation
             for i, run in runs.items()
             if isinstance(simulation := run.simulation, NeedsFinalState)
             and simulation.needs_final_state
         }
-        if not tearing:
+        if not tearing_simulations:
             return
         start_time = time.perf_counter()
         settings = (times, self._character, self._begin_phase())
-        states = last_states(self.systems, list(tearing), *settings)
-        for i, simulation in tearing.items():
+        states = last_states(self.systems, list(tearing_simulations), *settings)
+        for i, simulation in tearing_simulations.items():
             simulation.set_final_state(states[i])
-        self.seconds[min(tearing)] += time.perf_counter() - start_time
+        self.seconds[min(tearing_simulations)] += time.perf_counter() - start_time
 
-    def _faults_with_frame(self, code: Fraction, error: ToleranceError) -> list[Fault]:
+    def _faults_with_frame(
+        self, time_code: Fraction, error: ToleranceError
+    ) -> list[Fault]:
         """Return the faults of a stopped system; the last names the frame."""
         *other_faults, last_fault = error.faults
-        message = last_fault.message + f", before frame {float(code):g}"
+        message = last_fault.message + f", before frame {float(time_code):g}"
         hints = [last_fault.hint] if last_fault.hint else []
         key = last_fault.where
         for system in self.systems if last_fault.code == "SIM102" else ():
@@ -262,15 +270,15 @@ class SystemRun:
         hint = ", ".join(hints) or None
         return [*other_faults, replace(last_fault, message=message, hint=hint)]
 
-    def _record_states(self, code: Fraction) -> None:
+    def _record_states(self, time_code: Fraction) -> None:
         """Record the states to save at a time code."""
         for i in self._save_codes:
             # Joined systems stop together, at the same time.
             self._entry_runs[i].run.apply_pushes()
         for i, save_code in self._save_codes.items():
-            if save_code is None or code <= save_code:
+            if save_code is None or time_code <= save_code:
                 state = self._entry_runs[i].run.apply_pushes()
-                self._saved_states[i] = float(code), state
+                self._saved_states[i] = float(time_code), state
 
     def save_states(self, folder: Path) -> None:
         """Write the states to save into the scene's folder."""
@@ -291,14 +299,14 @@ class SystemRun:
         """Add the notices of written meshes, each located at its system."""
         self._warnings += [
             self.systems[i].location.locate(notice)
-            for i, prim in zip(self.written, meshes, strict=True)
+            for i, prim in zip(self.written_indices, meshes, strict=True)
             for notice in prim.notices
         ]
 
     def reports(self, meshes: Sequence[CachedMesh], scene: str) -> list[MeshReport]:
         """Return the report of each written system."""
         reports = []
-        for i, prim in zip(self.written, meshes, strict=True):
+        for i, prim in zip(self.written_indices, meshes, strict=True):
             system, size = self.systems[i], (self.seconds[i], prim.samples)
             reports.append(
                 MeshReport(system.name, prim, *size, system.kind, True, scene)
@@ -309,7 +317,7 @@ class SystemRun:
 def _unusual_number_hint(system: SceneSystem) -> list[str]:
     """Return a hint to check the number whose exponent is the most extreme."""
     values = system.setup.spec.model_dump(exclude_unset=True, by_alias=True)
-    sizes = [*_number_sizes(values, ""), *_number_sizes(system.setup.parts, "")]
+    sizes = [*_number_sizes(values, ""), *_number_sizes(system.setup.entries, "")]
     exponents = [
         (abs(math.log10(size)), name, size) for name, size in sizes if size > 0
     ]
@@ -341,21 +349,21 @@ def _between_frames_text(frame: float, step_length: float, fps: Fraction) -> str
     """Return the reason why a state is between frames; empty if it is on a frame."""
     if abs(frame - round(frame)) < 1e-6 or step_length * float(fps) > 1:
         return ""
-    step = f"{step_length:.4g} s, which does not divide a frame"
-    return f"the end of its last step before frame {math.ceil(frame)} (of {step}), "
+    step_text = f"{step_length:.4g} s, which does not divide a frame"
+    return (
+        f"the end of its last step before frame {math.ceil(frame)} (of {step_text}), "
+    )
 
 
 def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
     """Refuse systems whose steps would take hours (SCN091)."""
     faults = []
     for system in systems:
-        step = system.setup.facts.step or MAX_STEP
+        step = system.setup.spec.step or MAX_STEP
         seconds = max(last, 0.0) + system.setup.spec.preroll
         if seconds / step > MAX_STEPS:
-            message = (
-                f"{plain_number(seconds)} s in steps of {plain_number(step)} s are "
-            )
-            message += f"{seconds / step:.3g} steps; the limit is {MAX_STEPS}"
+            message = f"{plain_number(seconds)} s in steps of {plain_number(step)} s "
+            message += f"are {seconds / step:.3g} steps; the limit is {MAX_STEPS}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
             faults.append(system.location.fault("SCN091", message, hint))
     if faults:
@@ -371,7 +379,7 @@ def system_job(
 ) -> SimulatedJob:
     """Return the writer's job for systems; ``meters_per_unit`` is [m]."""
     rotation = up_from_up(up, UpAxis.Y)
-    written_systems = [system for system in systems if system.written]
+    written_systems = [system for system in systems if system.is_written]
     return SimulatedJob(
         model,
         _prim_names(written_systems),

@@ -17,7 +17,7 @@ from animtool.maths import so3
 from animtool.motion.take import Take
 from animtool.scene.bake.progress import Progress
 from animtool.scene.file.entries import SceneSystem
-from animtool.scene.systems.character_motion import motion_of
+from animtool.scene.systems.character_motion import motion_from_take
 from animtool.scene.systems.links import with_dependencies
 from animtool.scene.systems.simulation import located_systems, open_systems
 from animtool.systems.framework.run import EntryRun
@@ -33,7 +33,7 @@ def segments_of(
     name: str,
     particle: str,
     progress: Progress = None,
-    lead: float = 0.0,
+    lead_seconds: float = 0.0,
 ) -> FloatArray:
     """Return positions of a particle of a rope and of its predecessor.
 
@@ -41,28 +41,28 @@ def segments_of(
     simulated over the frames of the take, which is the scene's own character. The first
     frame is held for ``lead`` [s].
     """
-    index = _index(systems, name)
+    index = _system_index(systems, name)
     system_indices = with_dependencies(systems, [index])
-    character = motion_of(path, take)
-    times = character.times + lead
+    character = motion_from_take(path, take)
+    times = character.times + lead_seconds
     character = replace(character, times=times)
     simulated_systems = [systems[i] for i in system_indices]
     running_systems = open_systems(simulated_systems, float(times[-1]), character)
     system_run = running_systems[system_indices.index(index)]
-    particles = _particles(_view(system_run, name), name, particle)
-    segment_rows = []
+    particles = _segment_particles(_spring_view(system_run, name), name, particle)
+    segment_positions = []
     for k, t in enumerate(times.tolist()):
         with located_systems([systems[index]]):
             state, _ = system_run.run.sample(t)
-        segment_rows.append(state.motion[0, particles])
+        segment_positions.append(state.motion[0, particles])
         if progress is not None:
             progress((k + 1) / len(times))
-    segments = np.array(segment_rows)
+    segments = np.array(segment_positions)
     rotation = up_from_up(take.rig.up, UpAxis.Y)
     return segments if rotation is None else so3.rotate(np.array(rotation), segments)
 
 
-def _index(systems: Sequence[SceneSystem], name: str) -> int:
+def _system_index(systems: Sequence[SceneSystem], name: str) -> int:
     names = [system.name for system in systems]
     if names.count(name) == 1:
         return names.index(name)
@@ -75,8 +75,8 @@ def _index(systems: Sequence[SceneSystem], name: str) -> int:
     raise OptionError(Fault("SIM192", message, where="system", hint=hint))
 
 
-def _view(entry_run: EntryRun, name: str) -> SpringView:
-    """Return the rope's or strands' part of their shared spring simulation."""
+def _spring_view(entry_run: EntryRun, name: str) -> SpringView:
+    """Return the spring simulation of a rope or strands, shared if they are joined."""
     view = entry_run.simulation
     if isinstance(view, SpringView) and isinstance(view.body.shape, CurveShape):
         return view
@@ -85,7 +85,7 @@ def _view(entry_run: EntryRun, name: str) -> SpringView:
     raise OptionError(Fault("SIM192", message, where="system", hint=hint))
 
 
-def _particles(view: SpringView, name: str, particle: str) -> IntArray:
+def _segment_particles(view: SpringView, name: str, particle: str) -> IntArray:
     """Return the indices of a particle's predecessor and of the particle ``(2,)``."""
     body = view.body
     is_number = particle.strip().removeprefix("-").isdecimal()
@@ -99,5 +99,5 @@ def _particles(view: SpringView, name: str, particle: str) -> IntArray:
         raise OptionError(Fault("SIM192", message, where="particle", hint=hint))
     shape = cast(CurveShape, body.shape)
     starts = np.cumsum([0, *shape.counts.tolist()])
-    previous = particles[0] + 1 if particles[0] in starts else particles[0] - 1
-    return np.asarray(view.rows[[previous, particles[0]]], np.int64)
+    previous_particle = particles[0] + 1 if particles[0] in starts else particles[0] - 1
+    return np.asarray(view.rows[[previous_particle, particles[0]]], np.int64)

@@ -1,4 +1,4 @@
-"""A running simulation of a scene's systems."""
+"""Builds the simulations of a scene's systems, in the order of their links."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ class SystemProgress:
 class BuildContext:
     """State that the systems of a scene share while they are built."""
 
-    last: float  # latest time that will be requested [s]
+    last_time: float  # latest time that will be requested [s]
     # Characters in motion, each read once.
     characters: CharacterMotions = field(default_factory=CharacterMotions)
     # Built systems by name.
@@ -74,7 +74,7 @@ class BuildContext:
 
 @contextmanager
 def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
-    """In a block, locate faults without a file at jointly simulated systems.
+    """Locate faults without a file that a block raises at joined systems.
 
     The location is that of the first system with the key that a fault names, else of
     the first.
@@ -114,7 +114,7 @@ def build_entries(
 
 
 def _resume(run: SimulationRun, member: SceneSystem) -> None:
-    """Restore a saved state into a run."""
+    """Restore the state that a system resumes into a run (SIM035)."""
     path = member.setup.resume
     assert path is not None
     with open_states(path) as saved_states:
@@ -136,7 +136,7 @@ def run_entries(
     members: Sequence[SceneSystem],
     context: BuildContext,
     spec_changes: Mapping[str, Any] | None = None,
-    budget: int | None = None,
+    max_evaluations: int | None = None,
 ) -> SimulationRun:
     """Return the run of joined systems at their start; reads their characters.
 
@@ -167,11 +167,11 @@ def run_entries(
     )
     sim_context = SimContext(
         start_time,
-        context.last,
+        context.last_time,
         colliders,
-        setups[0].parts,
+        setups[0].entries,
         poses,
-        budget,
+        max_evaluations,
         [to_joined_entry(member) for member in members],
         lambda: context.clock(start_time),
         context.phase,
@@ -187,7 +187,7 @@ def run_entries(
 
 def open_systems(
     systems: Sequence[SceneSystem],
-    last: float = 0.0,
+    last_time: float = 0.0,
     character: CharacterMotion | None = None,
     progress: SystemProgress | None = None,
     warnings: list[Fault] | None = None,
@@ -198,7 +198,7 @@ def open_systems(
     ``last`` is the last time [s]. Warnings about their initial state, and about their
     size and distance from a rig, are added to ``warnings``.
     """
-    context = BuildContext(last, character_cache(character), progress=progress)
+    context = BuildContext(last_time, character_cache(character), progress=progress)
     built_systems = build_systems(systems, context)
     has_characters = main_rig is not None or context.characters.by_path
     if warnings is not None and has_characters:
@@ -214,8 +214,12 @@ def build_systems(
     faults: list[Fault] = []
     for group in simulation_order(systems):
         members = [systems[i] for i in group]
-        needs = [need for member in members for need in member.setup.surroundings.needs]
-        if any(name not in context.runs_by_name for name, _ in needs):
+        needed_systems = [
+            needed_system
+            for member in members
+            for needed_system in member.setup.surroundings.needed_systems
+        ]
+        if any(name not in context.runs_by_name for name, _ in needed_systems):
             continue
         try:
             with located_systems(members):
@@ -232,22 +236,22 @@ def build_systems(
 
 
 def build_faults(document: Document, systems: Sequence[SceneSystem]) -> list[Fault]:
-    """Return the faults of building the systems of a scene.
+    """Return the faults that occur when a scene's systems are built.
 
     Systems with known faults are skipped, with those that depend on them or are joined
     to them, and those that need the scene's own character.
     """
     faulty_keys = [fault.where or "" for fault in document.faults]
-    if any(where.startswith("units") for where in faulty_keys):
+    if any(key_path.startswith("units") for key_path in faulty_keys):
         return []
-    valid_systems = [
-        not any(where.startswith(system.location.where) for where in faulty_keys)
+    is_valid = [
+        not any(key_path.startswith(system.location.where) for key_path in faulty_keys)
         and document.path not in system.setup.files
         for system in systems
     ]
     # Systems that are simulated together are left out together.
     groups = joined_groups(systems)
-    valid_groups = [group for group in groups if all(valid_systems[i] for i in group)]
+    valid_groups = [group for group in groups if all(is_valid[i] for i in group)]
     indices = sorted(chain.from_iterable(valid_groups))
     try:
         build_systems([systems[i] for i in indices], BuildContext(0.0))

@@ -1,4 +1,4 @@
-"""Colliders of a system, from the keys of its entry."""
+"""Everything that a system collides with, from the keys of its entry."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.core.errors import counted, refuse
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.documents.document import Location, parse_location
-from animtool.documents.fields import record_of
+from animtool.documents.fields import record_from_model
 from animtool.maths.faces import triangulate
 from animtool.scene.systems.character_motion import (
     CharacterMotions,
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 
 # Number of cached times: both ends of a step, and some within.
-CACHED_TIMES = 4
+CACHED_TIME_COUNT = 4
 
 
 def moving_sheet(mesh: MovingMeshModel) -> Sheet:
@@ -43,7 +43,7 @@ def moving_sheet(mesh: MovingMeshModel) -> Sheet:
     from animtool.usd.caches.reader import open_mesh
 
     motion = _MeshMotion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
-    return record_of(Sheet, mesh, motion=motion, name=mesh.prim)
+    return record_from_model(Sheet, mesh, motion=motion, name=mesh.prim)
 
 
 class _MeshMotion:
@@ -61,20 +61,22 @@ class _MeshMotion:
         self._first, self._last = span
         self._start = self._first if frame is None else frame
         first_frame = source.sample(None if source.span is None else self._first)
-        self._count = len(first_frame.points)
+        self._point_count = len(first_frame.points)
         self._faces = triangulate(first_frame.counts, first_frame.indices)
-        self._cached_points = lru_cache(CACHED_TIMES)(self._points)
+        self._cached_points = lru_cache(CACHED_TIME_COUNT)(self._points)
 
     def points(self, t: float) -> FloatArray:
         """Return its points ``(N, 3)`` at a time [s] [m]."""
-        code = self._start + t * self._source.fps
-        return self._cached_points(min(max(code, self._first), self._last))
+        time_code = self._start + t * self._source.fps
+        return self._cached_points(min(max(time_code, self._first), self._last))
 
-    def _points(self, code: float) -> FloatArray:
-        points = self._source.sample(None if self._source.span is None else code).points
-        if len(points) != self._count:
-            message = f"it has {len(points)} points at {code:g}, but had {self._count}"
-            refuse("SIM051", message)
+    def _points(self, time_code: float) -> FloatArray:
+        points = self._source.sample(
+            None if self._source.span is None else time_code
+        ).points
+        if len(points) != self._point_count:
+            message = f"it has {len(points)} points at {time_code:g}, but had "
+            refuse("SIM051", f"{message}{self._point_count}")
         return points
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
@@ -97,7 +99,7 @@ class Surroundings:
     systems: tuple[SystemSurfaceModel, ...] = ()
     meshes: tuple[MovingMeshModel, ...] = ()
     # Rigid systems and bodies that carry particles, with the keys of the entry.
-    tied: tuple[tuple[str, str, str], ...] = ()
+    carrier_ties: tuple[tuple[str, str, str], ...] = ()
     followed_files: tuple[
         Path, ...
     ] = ()  # USD files that colliders and emitters follow
@@ -109,35 +111,37 @@ class Surroundings:
         first, *others = all_surroundings
         combined_colliders = {
             name: sum((getattr(other, name) for other in others), getattr(first, name))
-            for name in (*COLLISION_KEYS, "tied")
+            for name in (*COLLISION_KEYS, "carrier_ties")
         }
         return replace(first, **combined_colliders)
 
     @property
-    def needs(self) -> tuple[tuple[str, Location], ...]:
+    def needed_systems(self) -> tuple[tuple[str, Location], ...]:
         """Systems that this one collides with or that carry it, and their locations."""
         surfaces = self._collided_systems("system")
         return (*((surface.system, key) for surface, key in surfaces), *self._ties)
 
     @property
-    def pushes(self) -> tuple[tuple[str, Location], ...]:
+    def pushed_systems(self) -> tuple[tuple[str, Location], ...]:
         """Systems whose bodies this system pushes or pulls, and their locations."""
         surfaces = self._collided_systems("two_way")
-        pushed = ((surface.system, key) for surface, key in surfaces if surface.two_way)
-        return (*pushed, *self._ties)
+        pushed_by_surfaces = (
+            (surface.system, key) for surface, key in surfaces if surface.two_way
+        )
+        return (*pushed_by_surfaces, *self._ties)
 
     @property
     def _ties(self) -> tuple[tuple[str, Location], ...]:
         """Rigid systems that carry particles of the system, and their locations."""
         return tuple(
             (name, (*self.location, *parse_location(key_text)[:-1], "system"))
-            for name, _, key_text in self.tied
+            for name, _, key_text in self.carrier_ties
         )
 
     @property
     def carriers(self) -> list[str]:
         """Distinct names of the rigid systems that carry particles of the system."""
-        return list(dict.fromkeys(name for name, *_ in self.tied))
+        return list(dict.fromkeys(name for name, *_ in self.carrier_ties))
 
     def _collided_systems(
         self, key: str
@@ -148,7 +152,7 @@ class Surroundings:
 
     @property
     def reads(self) -> list[str]:
-        """Descriptions of all colliders for reports."""
+        """Descriptions of all colliders, such as ``2 colliders`` or a file name."""
         count = len(self.colliders)
         return [
             *([counted(count, "collider")] if count else []),
@@ -166,7 +170,9 @@ class Surroundings:
     @property
     def carrier_bodies(self) -> list[str]:
         """Distinct bodies that carry particles, written as ``system.body``."""
-        return list(dict.fromkeys(f"{name}.{body}" for name, body, _ in self.tied))
+        return list(
+            dict.fromkeys(f"{name}.{body}" for name, body, _ in self.carrier_ties)
+        )
 
     @property
     def has_colliders(self) -> bool:
@@ -174,14 +180,14 @@ class Surroundings:
         return any(getattr(self, name) for name in COLLISION_KEYS)
 
     @property
-    def count(self) -> int:
+    def collider_count(self) -> int:
         """Number of shapes and meshes, excluding those of characters."""
         return len(self.colliders) + len(self.meshes)
 
     def build(
         self, characters: CharacterMotions, run_by_name: Mapping[str, EntryRun]
     ) -> Colliders:
-        """Read the characters and return all colliders.
+        """Return all colliders; characters are read, and surfaces taken from runs.
 
         ``run_by_name`` are the runs of the systems that this one depends on.
         """
@@ -194,7 +200,7 @@ class Surroundings:
         for surface_entry in self.systems:
             system_run = run_by_name[surface_entry.system]
             if system_run.is_rigid:
-                material = record_of(Material, surface_entry)
+                material = record_from_model(Material, surface_entry)
                 values = (material.restitution, material.friction)
                 two_way = surface_entry.two_way
                 bodies.append(system_run.body_colliders(*values, two_way=two_way))
@@ -205,6 +211,6 @@ class Surroundings:
                 "name": surface_entry.system,
             }
             sheet_values |= {"radius": surface.radius, "closed": surface.closed}
-            sheets.append(record_of(Sheet, surface_entry, **sheet_values))
+            sheets.append(record_from_model(Sheet, surface_entry, **sheet_values))
         sheets += [*map(moving_sheet, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

@@ -148,9 +148,9 @@ def _warn_of_ratio(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
     """Warn of a damping ratio that seems to be in percent (SIM200)."""
-    families = {"": values, **(values.get("springs") or {})}
-    for key, family in families.items():
-        ratio = (family or {}).get("ratio")
+    settings_by_key = {"": values, **(values.get("springs") or {})}
+    for key, settings in settings_by_key.items():
+        ratio = (settings or {}).get("ratio")
         if isinstance(ratio, int | float) and ratio > MAX_DAMPING_RATIO:
             message = f"ratio {ratio:g} is {ratio:g} times critical damping"
             inner_path = ("springs", key, "ratio") if key else ("ratio",)
@@ -190,8 +190,8 @@ def _warn_of_rope(
         document.warn("SIM200", (*location, "to"), message, hint)
         return True
     if mass > MAX_LINE_MASS * length:
-        size = f"the rope is {length_text(length)} long"
-        _warn_of_grams(document, location, mass, size)
+        size_text = f"the rope is {length_text(length)} long"
+        _warn_of_grams(document, location, mass, size_text)
     return False
 
 

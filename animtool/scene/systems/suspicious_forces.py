@@ -21,12 +21,12 @@ MAX_WIND_SPEED = MAX_SPEED = 200.0
 # A bullet is smaller, and faster [m³], [m/s].
 MAX_BULLET_VOLUME, MAX_BULLET_SPEED = 1e-4, 3000.0
 # A bird flies as fast as a swift [m/s], and sees what it passes in this time [s].
-MAX_FLIGHT, MIN_SIGHT_TIME = 30.0, 1 / 12
+MAX_FLIGHT_SPEED, MIN_SIGHT_TIME = 30.0, 1 / 12
 VISION_RADIUS = 2.0
 # Faster than any sprinter [m/s].
 MAX_RUN_SPEED = 15.0
 # Kilometres per hour in a metre per second.
-KMH = 3.6
+KMH_PER_MPS = 3.6
 # A hundred times the pull of Earth [m/s²].
 MAX_ACCELERATION = 1000.0
 # The default mass of a particle [kg].
@@ -58,9 +58,9 @@ def warn_of_forces(
             message = f"a wind of {speed:g} m/s is faster than any storm"
             document.warn("SIM200", location, message, _unit_hint(speed, unit))
             break
-    for location, speed, limit, fastest in _speeds(entry_path, values, volume):
+    for location, speed, limit, comparison in _speeds(entry_path, values, volume):
         if speed > limit:
-            message = f"a speed of {speed:g} m/s is faster than {fastest}"
+            message = f"a speed of {speed:g} m/s is faster than {comparison}"
             document.warn("SIM200", location, message, _unit_hint(speed, unit))
             break
     _warn_of_cruise(document, entry_path, values)
@@ -74,12 +74,17 @@ def _warn_of_cruise(
     for i, species in enumerate(values.get("species") or ()):
         cruise = (species.get("speed") or {}).get("cruise")
         radius = (species.get("vision") or {}).get("radius") or VISION_RADIUS
-        if not isinstance(cruise, int | float) or not MAX_FLIGHT < cruise <= MAX_SPEED:
+        if (
+            not isinstance(cruise, int | float)
+            or not MAX_FLIGHT_SPEED < cruise <= MAX_SPEED
+        ):
             continue
         if cruise * MIN_SIGHT_TIME > radius:
-            message = f"speed.cruise {cruise:g} m/s is {cruise * KMH:.3g} km/h, and "
-            message += f"members see {length_text(radius)}, {radius / cruise:.2g} s"
-            hint = f"for {cruise:g} km/h write {cruise / KMH:.3g}, or a larger "
+            message = (
+                f"speed.cruise {cruise:g} m/s is {cruise * KMH_PER_MPS:.3g} km/h, "
+            )
+            message += f"and members see {length_text(radius)}, {radius / cruise:.2g} s"
+            hint = f"for {cruise:g} km/h write {cruise / KMH_PER_MPS:.3g}, or a larger "
             hint += "vision.radius"
             location = (*entry_path, "species", i, "speed", "cruise")
             document.warn("SIM200", location, message, hint)
@@ -95,25 +100,29 @@ def _unit_hint(speed: float, unit: float) -> str:
 
 def _gravity_problem(gravity: Sequence[float], unit: float) -> tuple[str, str] | None:
     """Return a message and hint about the gravity of a system [m/s²]."""
-    size = math.hypot(*gravity)
+    magnitude = math.hypot(*gravity)
     gravity_text = ", ".join(f"{value / unit:g}" for value in gravity)
-    down = f"[0, {-size / unit:g}, 0]"
-    if gravity[2] <= -ALIGNED_COSINE * size and size >= MIN_GRAVITY:
+    down = f"[0, {-magnitude / unit:g}, 0]"
+    if gravity[2] <= -ALIGNED_COSINE * magnitude and magnitude >= MIN_GRAVITY:
         message = f"gravity [{gravity_text}] pulls along -Z, but systems have Y up"
         hint = f"write {down}; in an output with Z up, systems are rotated"
         return message, hint
-    if size > MAX_GRAVITY:
-        ratio = plain_number(size / EARTH_GRAVITY)
-        message = f"gravity [{gravity_text}] is {size:g} m/s², {ratio} times that of "
+    if magnitude > MAX_GRAVITY:
+        ratio = plain_number(magnitude / EARTH_GRAVITY)
+        message = (
+            f"gravity [{gravity_text}] is {magnitude:g} m/s², {ratio} times that of "
+        )
         message += "Earth"
-        scaled = ", ".join(f"{value / unit / 100:g}" for value in gravity)
-        hint = f"for {size:g} cm/s² write [{scaled}]"
+        scaled_text = ", ".join(f"{value / unit / 100:g}" for value in gravity)
+        hint = f"for {magnitude:g} cm/s² write [{scaled_text}]"
         return message, hint if unit == 1 else f"Earth's is {EARTH_GRAVITY / unit:g}"
-    is_earth = abs(size / EARTH_GRAVITY - 1) <= EARTH_TOLERANCE
-    if is_earth and gravity[1] >= ALIGNED_COSINE * size:
+    is_earth = abs(magnitude / EARTH_GRAVITY - 1) <= EARTH_TOLERANCE
+    if is_earth and gravity[1] >= ALIGNED_COSINE * magnitude:
         return f"gravity [{gravity_text}] pulls up", f"write {down}"
-    if unit < 1 and abs(size / unit / EARTH_GRAVITY - 1) <= EARTH_TOLERANCE:
-        message = f"gravity [{gravity_text}] is {size:g} m/s² in the unit of the scene"
+    if unit < 1 and abs(magnitude / unit / EARTH_GRAVITY - 1) <= EARTH_TOLERANCE:
+        message = (
+            f"gravity [{gravity_text}] is {magnitude:g} m/s² in the unit of the scene"
+        )
         hint = f"for Earth's write {EARTH_GRAVITY / unit:g}, or leave the key out"
         return message, hint
     return None
@@ -189,14 +198,14 @@ def _speeds(
             limit = MAX_BULLET_SPEED if is_bullet else MAX_SPEED
             location = (*entry_path, "bodies", i, "velocity")
             yield location, math.hypot(*velocity), limit, flying_bodies
-    for key, limit, reference in (
+    for key, limit, comparison in (
         ("species", MAX_SPEED, flying_bodies),
         ("populations", MAX_RUN_SPEED, "any runner"),
     ):
         for i, group in enumerate(values.get(key) or ()):
             for name, speed in (group.get("speed") or {}).items():
                 if name in {"cruise", "least", "most", "mean"} and speed is not None:
-                    yield (*entry_path, key, i, "speed", name), speed, limit, reference
+                    yield (*entry_path, key, i, "speed", name), speed, limit, comparison
 
 
 def _warn_of_large_forces(
@@ -208,10 +217,12 @@ def _warn_of_large_forces(
     for location, name, options in _forces(entry_path, values):
         push, strength = _vector(options.get("push")), options.get("strength")
         if name == "uniform" and push is not None and masses:
-            size, mass = math.hypot(*push), max(masses)
-            if size / mass > MAX_ACCELERATION:
-                message = f"a push of {size:g} N accelerates particles of {mass:g} kg "
-                message += f"by {size / mass:g} m/s²"
+            magnitude, mass = math.hypot(*push), max(masses)
+            if magnitude / mass > MAX_ACCELERATION:
+                message = (
+                    f"a push of {magnitude:g} N accelerates particles of {mass:g} kg "
+                )
+                message += f"by {magnitude / mass:g} m/s²"
                 hint = "use `gravity` for an acceleration, or set the particles' mass"
                 document.warn("SIM200", (*location, "push"), message, hint)
                 return

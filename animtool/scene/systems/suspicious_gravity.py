@@ -14,7 +14,7 @@ from animtool.documents.document import Document, Location
 
 # Gravity that moves bodies by less of their distances than a pixel of a picture does
 # nothing [1], in this time or in the range if it is longer [s].
-MIN_MOVE, MIN_SECONDS = 1e-3, 10.0
+MIN_RELATIVE_MOVE, MIN_SECONDS = 1e-3, 10.0
 # The constant of nature [m³/(kg s²)], and the tolerance for it [1].
 NEWTON_CONSTANT, CONSTANT_TOLERANCE = 6.674e-11, 0.01
 # Bodies whose accelerations are computed.
@@ -39,7 +39,7 @@ def warn_of_weak_gravity(
         return  # nothing attracts, or arrays that are refused are not finite
     seconds = max(seconds, MIN_SECONDS)
     displacement = constant * acceleration * seconds**2 / 2
-    if displacement >= MIN_MOVE * distance:
+    if displacement >= MIN_RELATIVE_MOVE * distance:
         return
     message = f"with a constant of {constant:.3g}, masses of {plain_number(mass)} kg "
     message += f"in all and distances of {length_text(distance)}, gravity moves bodies "
@@ -62,12 +62,12 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
     """
     pulls = []
     points, masses = [np.zeros((0, 3))], [np.zeros(0)]
-    for body, data in zip(spec.bodies, parts.get("bodies") or (), strict=False):
-        body_points = np.asarray((data or {}).get("points", ()), np.float64)
+    for body, entry_arrays in zip(spec.bodies, parts.get("bodies") or (), strict=False):
+        body_points = np.asarray((entry_arrays or {}).get("points", ()), np.float64)
         if body_points.shape[1:] != (3,):
             continue  # refused when the system is built
         body_masses = np.full(len(body_points), float(body.mass))
-        stated_masses = (data or {}).get("masses")
+        stated_masses = (entry_arrays or {}).get("masses")
         if stated_masses is not None and np.shape(stated_masses) == body_masses.shape:
             body_masses = np.asarray(stated_masses, np.float64)
         points.append(body_points)
@@ -95,8 +95,8 @@ def _accelerations(
     points: FloatArray, masses: FloatArray, softening: float
 ) -> FloatArray:
     """Return accelerations of some of N points, per unit of the constant."""
-    step = max(1, len(points) // MAX_BODIES)
-    offsets = points[None] - points[::step, None]
+    stride = max(1, len(points) // MAX_BODIES)
+    offsets = points[None] - points[::stride, None]
     squares = (offsets**2).sum(axis=2) + max(softening, 1e-9) ** 2
-    pulls = (masses / squares**1.5)[..., None] * offsets
-    return np.asarray(np.linalg.norm(pulls.sum(axis=1), axis=1))
+    accelerations = (masses / squares**1.5)[..., None] * offsets
+    return np.asarray(np.linalg.norm(accelerations.sum(axis=1), axis=1))

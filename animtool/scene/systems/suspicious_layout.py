@@ -36,13 +36,13 @@ MAX_HEIGHT = 2.0
 _PINS = {"rope": "start", "cloth": "top_left"}
 
 
-class _Start(NamedTuple):
-    """Start of an entry: points, and the radius of the entry around each of them."""
+class _EntryStart(NamedTuple):
+    """Where an entry starts: points, and its radius around each of them."""
 
     location: Location
     label: str
     points: FloatArray  # (N, 3) [m]
-    reach: float  # [m]
+    radius: float  # [m]
 
 
 def warn_of_layout(
@@ -55,7 +55,10 @@ def warn_of_layout(
     """
     used_names: set[str] = set()
     for system in systems:
-        links = (*system.setup.surroundings.needs, *system.setup.joined)
+        links = (
+            *system.setup.surroundings.needed_systems,
+            *system.setup.joined_systems,
+        )
         used_names |= {name for name, _ in links}
     for system in systems:
         location = system.setup.location
@@ -64,31 +67,33 @@ def warn_of_layout(
             _warn_of_z_up(document, location, spec)
             continue
         if system.kind == "nbody":
-            warn_of_weak_gravity(document, location, spec, system.setup.parts, seconds)
+            warn_of_weak_gravity(
+                document, location, spec, system.setup.entries, seconds
+            )
             continue
         starts = list(_starts(system.kind, location, spec))
         if not system.setup.carriers and spec.resume is None:
             _warn_of_planes(
                 document, location, starts, surroundings.colliders, "colliders"
             )
-            kills = system.setup.parts.get("kill") or ()
-            _warn_of_planes(document, location, starts, kills, "kill")
+            kill_colliders = system.setup.entries.get("kill") or ()
+            _warn_of_planes(document, location, starts, kill_colliders, "kill")
             if system.kind == "fluid":
                 _warn_of_cut_fills(document, system)
-        fall = _free_fall_acceleration(system.kind, spec) * seconds**2 / 2
+        fall_distance = _free_fall_acceleration(system.kind, spec) * seconds**2 / 2
         has_contacts = (
-            surroundings.needs
+            surroundings.needed_systems
             or surroundings.characters
             or surroundings.meshes
-            or surroundings.tied
+            or surroundings.carrier_ties
         )
-        if fall <= MIN_FALL or has_contacts or system.name in used_names:
+        if fall_distance <= MIN_FALL or has_contacts or system.name in used_names:
             continue
-        if not surroundings.colliders and not system.setup.joined:
-            _warn_of_fall(document, location, system, fall)
+        if not surroundings.colliders and not system.setup.joined_systems:
+            _warn_of_fall(document, location, system, fall_distance)
         elif len(surroundings.colliders) == 1:
             _warn_of_upright(
-                document, location, starts, surroundings.colliders[0], fall
+                document, location, starts, surroundings.colliders[0], fall_distance
             )
 
 
@@ -98,16 +103,20 @@ def _free_fall_acceleration(kind: str, spec: Any) -> float:
         is_supported = spec.pins or spec.air is not None or spec.settle
         return 0.0 if is_supported else math.hypot(*spec.gravity)
     if kind == "rigid":
-        moves = (
+        are_moving = (
             body.kinematic or body.pushes or any(body.velocity) or any(body.spin)
             for body in spec.bodies
         )
         is_supported = spec.stages or any(joint.to is None for joint in spec.joints)
-        return 0.0 if is_supported or any(moves) else _gravity_of_forces(spec.forces)
+        return (
+            0.0 if is_supported or any(are_moving) else _gravity_of_forces(spec.forces)
+        )
     if kind == "fluid":
-        moves = (fill.velocities or any(fill.velocity) for fill in spec.fills)
+        are_moving = (fill.velocities or any(fill.velocity) for fill in spec.fills)
         is_supported = spec.emitters or spec.drains
-        return 0.0 if is_supported or any(moves) else _gravity_of_forces(spec.forces)
+        return (
+            0.0 if is_supported or any(are_moving) else _gravity_of_forces(spec.forces)
+        )
     return 0.0
 
 
@@ -123,17 +132,15 @@ def _gravity_of_forces(forces: Sequence[Mapping[str, Any]]) -> float:
 
 
 def _warn_of_fall(
-    document: Document, location: Location, system: SceneSystem, fall: float
+    document: Document, location: Location, system: SceneSystem, fall_distance: float
 ) -> None:
     """Warn of a system that falls without support (SIM201); ``fall`` is [m]."""
     has_pins = hasattr(system.setup.spec, "pins")
     problem = (
         "has no pins and nothing to collide with" if has_pins else "touches nothing"
     )
-    message = (
-        f"{system.name} {problem}: it falls freely, by {length_text(fall)} in the "
-    )
-    message += "range"
+    message = f"{system.name} {problem}: it falls freely, by "
+    message += f"{length_text(fall_distance)} in the range"
     hint = "add a floor: colliders: [{shape: {plane: }}]"
     if system.kind == "fluid":
         hint = "add a floor or a tank under colliders; a tank has container: true"
@@ -146,9 +153,9 @@ def _warn_of_fall(
 def _warn_of_upright(
     document: Document,
     location: Location,
-    starts: Sequence[_Start],
+    starts: Sequence[_EntryStart],
     collider: Collider,
-    fall: float,
+    fall_distance: float,
 ) -> None:
     """Warn of a floor whose rotation makes it a wall (SIM201)."""
     if not isinstance(collider.shape, Box) or collider.container:
@@ -171,7 +178,7 @@ def _warn_of_upright(
     axis = "XYZ"[int(np.argmax(np.abs(thin_axis)))]
     message = "colliders[0] is a slab that stands upright: its rotate turns its thin "
     message += f"side from Y to {axis}; nothing lies below {starts[0].label}, which "
-    message += f"falls by up to {length_text(fall)} in the range"
+    message += f"falls by up to {length_text(fall_distance)} in the range"
     hint = "systems have Y up: remove the rotate, and check `at`"
     document.warn("SIM201", (*location, "colliders", 0, "rotate"), message, hint)
 
@@ -179,7 +186,7 @@ def _warn_of_upright(
 def _warn_of_planes(
     document: Document,
     location: Location,
-    starts: Sequence[_Start],
+    starts: Sequence[_EntryStart],
     colliders: Sequence[Collider],
     key: str,
 ) -> None:
@@ -191,7 +198,7 @@ def _warn_of_planes(
         plane, deep_starts = Colliders([collider]), []
         for start in starts:
             depth = -float(plane.sample(start.points, 0.0).distances.max())
-            if depth > start.reach + MIN_DEPTH:
+            if depth > start.radius + MIN_DEPTH:
                 deep_starts.append((depth, start))
         if not deep_starts:
             continue
@@ -209,9 +216,9 @@ def _warn_of_planes(
         if normal[1] > 0.99 * np.linalg.norm(normal):
             side = "above" if collider.container else "below"
         message = f"{start.label} starts {length_text(depth)} {side} {name}"
-        hint = f"move it by more than {length_text(depth + start.reach)}"
+        hint = f"move it by more than {length_text(depth + start.radius)}"
         if side == "below":
-            hint = f"raise it by {length_text(depth + start.reach)} or more"
+            hint = f"raise it by {length_text(depth + start.radius)} or more"
             hint += ", or is the sign of its y wrong?" if start.points[0, 1] < 0 else ""
         if key == "kill":
             message = f"{name} removes everything that {start.label} emits: it starts "
@@ -231,23 +238,23 @@ def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
         for c, collider in enumerate(surroundings.colliders)
         if collider.container or isinstance(collider.shape, Plane)
     ]
-    parts = system.setup.parts.get("fills") or ()
-    for i, (fill, data) in enumerate(zip(spec.fills, parts, strict=False)):
-        shape = (data or {}).get("shape")
+    parts = system.setup.entries.get("fills") or ()
+    for i, (fill, fill_entries) in enumerate(zip(spec.fills, parts, strict=False)):
+        shape = (fill_entries or {}).get("shape")
         if not walls or fill.prim or not isinstance(shape, Box | Sphere | Capsule):
             continue
-        points, pose = _fill_samples(shape), data["poses"].at(0.0)
+        points, pose = _fill_samples(shape), fill_entries["poses"].at(0.0)
         points = so3.rotate(pose[3:], points) + pose[:3]
         limit = MAX_CUT_FRACTION if isinstance(shape, Box) else MAX_ROUND_CUT_FRACTION
         for c, wall in walls:
-            cut = _inside_fraction(wall, points)
+            cut_fraction = _inside_fraction(wall, points)
             # A fill without any particle is refused, and one below a plane reported.
-            if cut < limit or cut == 1.0:
+            if cut_fraction < limit or cut_fraction == 1.0:
                 continue
             side = "outside the container" if wall[0].container else "inside"
             name = repr(wall[0].name) if wall[0].name else f"colliders[{c}]"
             label = repr(fill.name) if fill.name else f"fill {i}"
-            message = f"{percent_text(cut)} of {label} is {side} "
+            message = f"{percent_text(cut_fraction)} of {label} is {side} "
             message += f"{name}, and is not filled"
             hint = "move it inside, or make it smaller"
             half_size = np.ptp(shape_bounds(shape), axis=0) / 2
@@ -278,14 +285,14 @@ def _inside_fraction(wall: Colliders, points: FloatArray) -> float:
     return float((wall.sample(points, 0.0).distances[0] < 0).mean())
 
 
-def _starts(kind: str, location: Location, spec: Any) -> Iterator[_Start]:
+def _starts(kind: str, location: Location, spec: Any) -> Iterator[_EntryStart]:
     """Yield the start of each entry, except entries from files and prims."""
     if kind == "rigid":
         for i, body in enumerate(spec.bodies):
             shape = body.shape
             if shape and not (body.kinematic or body.grid or body.points):
                 key_location = (*location, "bodies", i, "at")
-                yield _Start(
+                yield _EntryStart(
                     key_location,
                     repr(body.name),
                     np.array([body.at]),
@@ -301,27 +308,26 @@ def _starts(kind: str, location: Location, spec: Any) -> Iterator[_Start]:
                     radius = max([entry.radius or 0.0, *(entry.size or ())])
                     shape = {"disc": {"radius": radius}}
                 label = repr(entry.name) if entry.name else f"{name} {i}"
-                reach, key_location = (
-                    _shape_radius(shape or {}),
-                    (*location, key, i, "at"),
-                )
+                radius_about_origin = _shape_radius(shape or {})
+                key_location = (*location, key, i, "at")
                 points = np.zeros((1, 3))
                 if shape and next(iter(shape)) == "box":
-                    points, reach = Box(shape["box"]["size"]).anchors(), 0.0
+                    points = Box(shape["box"]["size"]).anchors()
+                    radius_about_origin = 0.0
                 w, x, y, z = entry.rotate
                 rotation = so3.normalize(np.array([x, y, z, w]))
                 points = np.array(entry.at) + so3.rotate(rotation, points)
-                yield _Start(key_location, label, points, reach)
+                yield _EntryStart(key_location, label, points, radius_about_origin)
     elif kind == "rope":
         points = np.array([spec.start, spec.end])
-        yield _Start((*location, "from"), spec.name, points, 0.0)
+        yield _EntryStart((*location, "from"), spec.name, points, 0.0)
     elif kind == "cloth" and spec.mesh is None:
         corner, across, up = map(np.array, (spec.corner, spec.across, spec.up))
         points = corner + np.array([0 * up, across, up, across + up])
-        yield _Start((*location, "corner"), spec.name, points, 0.0)
+        yield _EntryStart((*location, "corner"), spec.name, points, 0.0)
     elif kind == "volume" and spec.tetrahedra is None:
         points = np.array([spec.corner, np.add(spec.corner, spec.size)])
-        yield _Start((*location, "corner"), spec.name, points, 0.0)
+        yield _EntryStart((*location, "corner"), spec.name, points, 0.0)
 
 
 def _shape_radius(shape: Mapping[str, Any]) -> float:

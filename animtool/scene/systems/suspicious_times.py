@@ -14,7 +14,7 @@ MIN_SUSPICIOUS_SECONDS = 20.0
 # Fewer steps a second are not meant by a step of so many seconds [s].
 MIN_STEPS = 10.0
 # Lists of rows that begin with a time, and keys of a time at which something begins.
-ROW_KEYS = {"moves", "turns", "gusts", "bursts"}
+TIMED_ROW_KEYS = {"moves", "turns", "gusts", "bursts"}
 START_KEYS = {"start", "release", "opens", "bursts"}
 # Rows in frames reach at least this fraction of the scene's frames; fewer may be the
 # seconds of a longer scene of which only the beginning is written.
@@ -23,7 +23,7 @@ MIN_LAST_FRACTION = 0.3
 
 @dataclass(frozen=True, slots=True)
 class SceneTimes:
-    """The frame rate and the frames of a scene."""
+    """The frame rate and range of a scene, to which times are compared."""
 
     rate: float  # [frames/s]
     frames: tuple[float, float] | None = None  # first and last; None if unknown
@@ -62,7 +62,7 @@ def warn_of_times(
         _warn_of_step(document, location, values.get("step"), times)
     if times.frames is None:
         return
-    end = f"but the scene ends at {times.length:.3g} s"
+    end_text = f"but the scene ends at {times.length:.3g} s"
     for key_location, key, value in stated_keys(location, values):
         rows = value if isinstance(value, list | tuple) else []
         starts = [row[0] for row in rows if isinstance(row, list | tuple) and row]
@@ -71,12 +71,12 @@ def warn_of_times(
             row_location = (
                 (*key_location, starts.index(start)) if starts else key_location
             )
-            message = f"{key} {start:g} is {start:g} s, {end}"
+            message = f"{key} {start:g} is {start:g} s, {end_text}"
             document.warn("SIM200", row_location, message, times.hint(start))
             return
-        if key in ROW_KEYS and _is_in_frames(starts, times):
+        if key in TIMED_ROW_KEYS and _is_in_frames(starts, times):
             row = starts.index(max(starts))
-            message = f"the last row of {key} is at {starts[row]:g} s, {end}"
+            message = f"the last row of {key} is at {starts[row]:g} s, {end_text}"
             document.warn(
                 "SIM200", (*key_location, row), message, times.hint(starts[row])
             )
@@ -106,10 +106,10 @@ def stated_keys(
                 yield from stated_keys((*location, key, *index), entry)
 
 
-def _is_in_frames(rows: list[float], times: SceneTimes) -> bool:
-    last = max(rows, default=0.0)
+def _is_in_frames(row_times: list[float], times: SceneTimes) -> bool:
+    last = max(row_times, default=0.0)
     assert times.frames is not None
-    are_integers = all(t == round(t) for t in rows)
+    are_integers = all(t == round(t) for t in row_times)
     min_last = MIN_LAST_FRACTION * (times.frames[1] - times.frames[0])
     return are_integers and last >= min_last and times.is_late_frame(last)
 

@@ -73,10 +73,10 @@ def system_trials(
 
 
 def _rebuild(
-    systems: Sequence[SceneSystem], last: float, characters: CharacterMotions
+    systems: Sequence[SceneSystem], last_time: float, characters: CharacterMotions
 ) -> BuildContext:
     """Return a new context with systems that are built for times up to ``last`` [s]."""
-    context = BuildContext(last, characters)
+    context = BuildContext(last_time, characters)
     build_systems(systems, context)
     return context
 
@@ -90,7 +90,7 @@ def _trial(
 
     ``rebuild`` rebuilds their dependencies for each run.
     """
-    max_points = 0  # maximum number of points in any run so far
+    max_point_count = 0  # maximum number of points in any run so far
     spec = members[0].setup.spec
     if spec.tried:
         simulation = run_entries(members, rebuild()).simulation
@@ -100,15 +100,19 @@ def _trial(
         trial_settings = _trial_settings(spec, members[0].setup.method)
 
     def run(setting: Setting) -> TrialOutcome:
-        nonlocal max_points
-        method, budget = setting.method, None
+        nonlocal max_point_count
+        method, max_evaluations = setting.method, None
         if not spec.tried:
             is_other = method != trial_settings.chosen.method
-            budget = _evaluation_limit(method, max_points, is_other_method=is_other)
+            max_evaluations = _evaluation_limit(
+                method, max_point_count, is_other_method=is_other
+            )
         changes = trial_settings.changes(setting)
-        outcome = _outcome(run_entries(members, rebuild(), changes, budget), times)
+        outcome = _outcome(
+            run_entries(members, rebuild(), changes, max_evaluations), times
+        )
         point_counts = [len(snapshot.points) for snapshot in outcome.snapshots]
-        max_points = max([max_points, *point_counts])
+        max_point_count = max([max_point_count, *point_counts])
         return outcome
 
     return Trial(
@@ -145,17 +149,19 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
     def settings() -> list[Setting]:
         """Return the settings to try: each method with several steps or tolerances."""
         methods = INTEGRATORS if spec.methods is None else spec.methods or [spec_method]
-        result: list[Setting] = []
+        tried_settings: list[Setting] = []
         for method in methods:
             if _is_fixed(method):
-                result += step_settings(method, spec.step)
+                tried_settings += step_settings(method, spec.step)
                 continue
             max_step, centre = LONG_STEP_RATIO * spec.step, TOLERANCE
             if method == spec_method:
                 max_step, centre = spec.step, default
             for value in rounded_multiples(centre, TOLERANCES):
-                result.append(Setting.of(method, step=max_step, tolerance=value))
-        return result
+                tried_settings.append(
+                    Setting.of(method, step=max_step, tolerance=value)
+                )
+        return tried_settings
 
     def references() -> list[list[Setting]]:
         """Return reference settings with decreasing steps of the exact method.
@@ -187,7 +193,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
 
 def _evaluation_limit(
-    method: str, max_points: int, *, is_other_method: bool
+    method: str, max_point_count: int, *, is_other_method: bool
 ) -> int | None:
     """Return the maximum number of evaluations per step; None is unlimited.
 
@@ -197,9 +203,9 @@ def _evaluation_limit(
     if method not in INTEGRATORS:
         return None
     integrator = find_integrator(method)
-    unknowns = 3 * max_points
-    if is_other_method and integrator.implicit and unknowns > MAX_UNKNOWNS:
-        message = f"{method} would solve for {unknowns} unknowns at "
+    unknown_count = 3 * max_point_count
+    if is_other_method and integrator.implicit and unknown_count > MAX_UNKNOWNS:
+        message = f"{method} would solve for {unknown_count} unknowns at "
         raise OptionError(Fault("SIM024", f"{message}once", where="method"))
     if integrator.solver:
         # Imports are not part of the simulation's time.
@@ -211,7 +217,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
     """Simulate a run and return its points and errors at times ``(F,)`` [s]."""
     start_time = time.perf_counter()
     snapshots: list[Snapshot] = []
-    energies, status, reason, stable = [], Status.OK, "", None
+    energies, status, reason, stable_step = [], Status.OK, "", None
     try:
         for sample_time in times.tolist():
             snapshots.append(_snapshot(run.at(sample_time)))
@@ -220,13 +226,15 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         status, reason = Status.UNSTABLE, error.faults[0].message
         stats = error.stats if isinstance(error, StoppedError) else None
         if stats is not None:
-            status, reason, stable = stats.status, stats.reason, stats.stable_step
+            status, reason, stable_step = stats.status, stats.reason, stats.stable_step
     seconds = time.perf_counter() - start_time
     last_diagnostics = run.simulation.diagnostics(
         run.state.state, run.step_time(run.state.steps)
     )
     known_energies = [energy for energy in energies if energy is not None]
-    complete = len(known_energies) == len(snapshots) and _has_constant_count(snapshots)
+    is_complete = len(known_energies) == len(snapshots) and _has_constant_count(
+        snapshots
+    )
     stretch = last_diagnostics.stretch
     return TrialOutcome(
         seconds,
@@ -234,8 +242,8 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         snapshots,
         status,
         reason,
-        last_diagnostics.stable_step() if stable is None else stable,
-        known_energies if complete else None,
+        last_diagnostics.stable_step() if stable_step is None else stable_step,
+        known_energies if is_complete else None,
         figures={} if stretch is None else {Figure.STRETCH: stretch},
     )
 
@@ -247,7 +255,7 @@ def _is_fixed(method: str) -> bool:
 
 
 def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
-    """Return whether all snapshots have the same points, by their ids."""
+    """Return whether no point appears or disappears between snapshots."""
     ids = [snapshot.ids for snapshot in snapshots if snapshot.ids is not None]
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)
 
@@ -255,9 +263,15 @@ def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
 def _snapshot(frame: Frame) -> Snapshot:
     """Return the points of a frame that are compared with the reference."""
     if isinstance(frame, TransformsFrame):
-        arms = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
-        sizes = np.abs(frame.scales).max(initial=0.0)
-        extent = float(max((arm.max(initial=0.0) for arm in arms), default=0.0) * sizes)
+        point_distances = [np.linalg.norm(mesh.points, axis=1) for mesh in frame.meshes]
+        max_scale = np.abs(frame.scales).max(initial=0.0)
+        extent = float(
+            max(
+                (distances.max(initial=0.0) for distances in point_distances),
+                default=0.0,
+            )
+            * max_scale
+        )
         return Snapshot(frame.points, frame.ids, frame.rotations, extent)
     ids = frame.ids if isinstance(frame, PointsFrame) else None
     return Snapshot(frame.points, ids)

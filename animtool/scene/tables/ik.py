@@ -30,7 +30,7 @@ TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7, 1e-8)
 # Tolerances of the reference solution, each a tenth of the one before.
 REFERENCE_TOLERANCES = (1e-8, 1e-9, 1e-10)
 # For goals with an orientation, points at this distance are compared too [m].
-ORIENTATION_ARM = 0.1
+ORIENTATION_POINT_DISTANCE = 0.1
 
 
 def job_trial(job: IkJob) -> Trial:
@@ -42,7 +42,7 @@ def job_trial(job: IkJob) -> Trial:
             context.take,
             context.tracks,
             options,
-            static=context.at_rest,
+            static=context.is_at_rest,
             only=context.only_index,
         )
 
@@ -55,7 +55,7 @@ def job_trial(job: IkJob) -> Trial:
 
 
 def pass_trial(take: Take, tracks: TargetTracks, options: TakeOptions) -> Trial:
-    """Return the trial of a scene's IK pass."""
+    """Return the trial of a scene's IK pass on the take before it."""
 
     def scene_text(options: TakeOptions) -> list[str]:
         tolerance = f"{options.tolerance * 1000:.3g}mm"
@@ -80,7 +80,7 @@ def solve_trial(
     """
     chosen_result = solve(options)
     length = chosen_result.problem.length
-    frames = len(chosen_result.statuses)
+    frame_count = len(chosen_result.statuses)
     clock = chosen_result.take.clock
 
     def new_setting(method: IkMethod, tolerance: float, angle: float) -> Setting:
@@ -103,7 +103,7 @@ def solve_trial(
     references = [new_setting(method, t * length, t) for t in REFERENCE_TOLERANCES]
     return Trial(
         name,
-        f"ik, {chosen_result.problem.degrees} degrees of freedom, {frames} frames",
+        f"ik, {chosen_result.problem.degrees} degrees of freedom, {frame_count} frames",
         float(clock.duration),
         new_setting(method, *tolerances),
         lambda: settings,
@@ -129,8 +129,13 @@ def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
     for i, track in enumerate(solution.tracks.goals):
         goal, joint = track.goal, solution.take.rig.index(track.goal.joint)
         offset = np.asarray(goal.offset, np.float64)
-        arms = ORIENTATION_ARM * np.eye(3)[: 2 if goal.orientation else 0]
-        points += [(i, joint, offset + arm) for arm in (np.zeros(3), *arms)]
+        arm_offsets = (
+            ORIENTATION_POINT_DISTANCE * np.eye(3)[: 2 if goal.orientation else 0]
+        )
+        points += [
+            (i, joint, offset + axis_offset)
+            for axis_offset in (np.zeros(3), *arm_offsets)
+        ]
     return points
 
 
@@ -150,5 +155,5 @@ def _outcome(solution: TakeIk) -> TrialOutcome:
         Figure.MISS_ANGLE: float(goal_errors[..., 1:].max(initial=0.0)),
         Figure.REACHED: float(np.mean(has_converged)),
     }
-    steps = int(solution.iterations.sum())
-    return TrialOutcome(solution.seconds, steps, snapshots, figures=figures)
+    iteration_count = int(solution.iterations.sum())
+    return TrialOutcome(solution.seconds, iteration_count, snapshots, figures=figures)

@@ -27,7 +27,7 @@ from animtool.scene.bake.prims import BakePlan
 from animtool.scene.file.entries import EntryLocation, ScenePass, SceneSystem
 from animtool.scene.scene import Scene
 from animtool.scene.systems.bake import SystemPrims
-from animtool.scene.systems.character_motion import CharacterMotion, motion_of
+from animtool.scene.systems.character_motion import CharacterMotion, motion_from_take
 from animtool.scene.systems.trial import system_trials
 from animtool.scene.tables.ik import pass_trial
 from animtool.sim.trajectory import Status
@@ -57,10 +57,10 @@ MAX_STEP_RATIO = 8.0
 MAX_COMPARED_FRAMES = 100
 
 
-def simulates(scene: Scene) -> bool:
+def has_simulation(scene: Scene) -> bool:
     """Return whether a scene has systems or a ``simulate`` pass."""
     return bool(scene.systems) or any(
-        entry.pass_.name == "simulate" for entry in scene.passes
+        scene_pass.pass_.name == "simulate" for scene_pass in scene.passes
     )
 
 
@@ -78,14 +78,14 @@ def simulation_trials(
         trials += _pass_trials(scene)
     if scene.systems:
         times, character = _compared_times(scene, options or BakeOptions())
-        compared_times = times[_compared_frames(len(times))]
+        compared_times = times[_compared_frame_indices(len(times))]
         for members, trial in system_trials(scene.systems, compared_times, character):
             write = partial(_write_systems, scene, members, trial)
             trials.append((members[0].location, replace(trial, write=write)))
     return trials
 
 
-def _compared_frames(count: int) -> IntArray:
+def _compared_frame_indices(count: int) -> IntArray:
     """Return indices of up to `MAX_COMPARED_FRAMES` frames, evenly over all frames."""
     indices = np.linspace(0, count - 1, min(count, MAX_COMPARED_FRAMES))
     return indices.astype(np.int64)
@@ -125,9 +125,11 @@ def _write(scene: Scene, output: Path) -> None:
 
 def _plan(scene: Scene, output: Path, options: BakeOptions) -> BakePlan:
     """Return the plan of a scene's first output without chunks, which need files."""
-    first = scene.outputs[0]
-    without_chunks = replace(first, bake=replace(first.bake, chunk=None))
-    return plan_stage(replace(scene, outputs=(without_chunks,)), output, options)
+    first_output = scene.outputs[0]
+    output_without_chunks = replace(
+        first_output, bake=replace(first_output.bake, chunk=None)
+    )
+    return plan_stage(replace(scene, outputs=(output_without_chunks,)), output, options)
 
 
 def _compared_times(
@@ -136,7 +138,7 @@ def _compared_times(
     """Return the times at which systems are compared [s], and the scene's character."""
     plan = _plan(scene, STDOUT, options)
     if plan.takes:
-        character = motion_of(scene.path, plan.takes[0].stream.collect())
+        character = motion_from_take(scene.path, plan.takes[0].stream.collect())
         return _times_in_range(character.times, plan), character
     (systems,) = plan.prims
     assert isinstance(systems, SystemPrims)
@@ -156,55 +158,63 @@ def _times_in_range(times: FloatArray, plan: BakePlan) -> FloatArray:
 def _pass_trials(scene: Scene) -> list[tuple[EntryLocation, Trial]]:
     """Return the trials of the spring and IK passes of a scene, with their entries."""
     full_scene, folder = scene, scene.path.resolve().parent
-    measured_passes = [
+    measured_pass_indices = [
         i
-        for i, entry in enumerate(scene.passes)
-        if _is_ik_pass(entry) or _is_spring_pass(entry)
+        for i, scene_pass in enumerate(scene.passes)
+        if _is_ik_pass(scene_pass) or _is_spring_pass(scene_pass)
     ]
-    scene = replace(scene, passes=scene.passes[: max(measured_passes, default=-1) + 1])
+    scene = replace(
+        scene, passes=scene.passes[: max(measured_pass_indices, default=-1) + 1]
+    )
     trials = []
     steps = zip(scene.passes, scene.steps(), strict=False)
-    for pass_index, (entry, (take, _)) in enumerate(steps):
-        if _is_ik_pass(entry):
-            with entry.location.located():
-                tracks = rig_and_tracks(take, entry.options, folder)
-                trial = pass_trial(*tracks, solve_options(entry.options))
-                trials.append((entry.location, trial))
-        if not _is_spring_pass(entry):
+    for pass_index, (scene_pass, (take, _)) in enumerate(steps):
+        if _is_ik_pass(scene_pass):
+            with scene_pass.location.located():
+                tracks = rig_and_tracks(take, scene_pass.options, folder)
+                trial = pass_trial(*tracks, solve_options(scene_pass.options))
+                trials.append((scene_pass.location, trial))
+        if not _is_spring_pass(scene_pass):
             continue
-        with entry.location.located():
-            bodies = build_bodies(take.rig, entry.options.what)
+        with scene_pass.location.located():
+            bodies = build_bodies(take.rig, scene_pass.options.what)
         for body in bodies:
-            options = replace(entry.options, what=(body.name,))
-            trial = _attach_trial(scene, replace(entry, options=options), take, body)
+            options = replace(scene_pass.options, what=(body.name,))
+            trial = _attach_trial(
+                scene, replace(scene_pass, options=options), take, body
+            )
             write = partial(_write_pass, full_scene, pass_index, name="rate")
-            trials.append((entry.location, replace(trial, write=write)))
+            trials.append((scene_pass.location, replace(trial, write=write)))
     return trials
 
 
-def _is_ik_pass(entry: ScenePass) -> bool:
-    return isinstance(entry.options, IkPassOptions)
+def _is_ik_pass(scene_pass: ScenePass) -> bool:
+    return isinstance(scene_pass.options, IkPassOptions)
 
 
-def _is_spring_pass(entry: ScenePass) -> bool:
-    return isinstance(entry.options, SimulateOptions) and has_effect(entry.options)
+def _is_spring_pass(scene_pass: ScenePass) -> bool:
+    return isinstance(scene_pass.options, SimulateOptions) and has_effect(
+        scene_pass.options
+    )
 
 
 def _attach_trial(
-    scene: Scene, entry: ScenePass, take: Take, body: AttachedBody
+    scene: Scene, scene_pass: ScenePass, take: Take, body: AttachedBody
 ) -> Trial:
     """Return the trial of a spring attachment with larger and smaller steps."""
     clock = take.clock
-    frames = np.unique(_compared_frames(clock.count))
+    frame_indices = np.unique(_compared_frame_indices(clock.count))
 
     def run_pass(motion: Motion, **options: float) -> tuple[Motion, dict[str, Any]]:
         """Apply the pass to a motion; return the resulting motion and its report."""
         stream = replace(TakeStream.of(take), blocks=iter([motion]))
-        changed_entry = replace(entry, options=replace(entry.options, **options))
-        passed_stream = scene.apply_entry(stream, changed_entry)
-        result = Motion.concatenate(list(passed_stream.blocks))
+        changed_pass = replace(
+            scene_pass, options=replace(scene_pass.options, **options)
+        )
+        passed_stream = scene.apply_scene_pass(stream, changed_pass)
+        changed_motion = Motion.concatenate(list(passed_stream.blocks))
         (report,) = passed_stream.simulated
-        return result, report
+        return changed_motion, report
 
     _, report = run_pass(take.motion.select(slice(0, 1)))
     frame_rate = float(clock.rate)
@@ -212,15 +222,17 @@ def _attach_trial(
 
     def settings(step_ratios: Sequence[float]) -> list[Setting]:
         # A frame has a whole number of steps.
-        counts = [math.ceil(rate / ratio / frame_rate - 1e-9) for ratio in step_ratios]
-        rates = (count * frame_rate for count in dict.fromkeys(counts))
+        step_counts = [
+            math.ceil(rate / ratio / frame_rate - 1e-9) for ratio in step_ratios
+        ]
+        rates = (count * frame_rate for count in dict.fromkeys(step_counts))
         return [Setting.of(ATTACH_METHOD, rate=step_rate) for step_rate in rates]
 
     def run(setting: Setting) -> TrialOutcome:
         start_time = time.perf_counter()
         motion, report = run_pass(take.motion, rate=setting["rate"])
         seconds = time.perf_counter() - start_time
-        points = _attachment_points(take.rig, body, motion.select(frames))
+        points = _attachment_points(take.rig, body, motion.select(frame_indices))
         snapshots = list(map(Snapshot, points))
         is_valid = bool(np.isfinite(points).all())
         return TrialOutcome(

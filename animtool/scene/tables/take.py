@@ -53,13 +53,13 @@ SAMPLE_RATES = (Fraction(1, 8), Fraction(1, 4), Fraction(1, 2), Fraction(1))
 # Tolerances relative to the size of the skeleton, rounded down to a power of ten.
 TOLERANCES = (1e-2, 1e-3, 1e-4, 1e-5)
 # Compared times per frame of a curve; at the highest rate, one is between two samples.
-CURVE_INSTANTS = 8
+CURVE_TIMES_PER_FRAME = 8
 # Maximum number of compared times, so that UsdSkel evaluates them in about a second;
 # and of compared points.
-MAX_INSTANTS, MAX_COMPARED = 4000, 2_000_000
+MAX_COMPARED_TIMES, MAX_COMPARED_POINTS = 4000, 2_000_000
 
 RATE, SAMPLES, KEYS = "rate", "samples", "keys"
-SOURCE = Setting("source", ())  # the take itself in float64
+SOURCE_SETTING = Setting("source", ())  # the take itself in float64
 
 
 def take_trials(source: Source, options: BakeOptions | None = None) -> list[Trial]:
@@ -87,7 +87,7 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     frames = plan.options.frame_range
     step = 1 if frames is None else frames.step
     rate /= step  # every second frame of the output is half its rate
-    new_notices = [each for each in take.notices if each not in full_take.notices]
+    new_notices = [notice for notice in take.notices if notice not in full_take.notices]
 
     def reopen_source() -> Source:
         # Results of passes are computed once.
@@ -140,13 +140,21 @@ class _ReferencePoints:
         clock = take.clock
         curve = take.curve if is_curved else None
         # For a curve there are also instants between two samples at the highest rate.
-        instants = math.ceil(CURVE_INSTANTS * max(Fraction(1), rate / clock.rate))
-        instants_per_frame = instants if curve is not None else 1
-        count = (clock.count - 1) * instants_per_frame + 1
-        points = attached_points(take.rig, SHELL_DISTANCE)[..., 0].size
-        max_count = min(count, MAX_INSTANTS, max(2, MAX_COMPARED // max(points, 1)))
-        frame_indices = np.unique(np.linspace(0, count - 1, max_count).astype(np.int64))
-        frames = frame_indices / instants_per_frame
+        times_per_frame = math.ceil(
+            CURVE_TIMES_PER_FRAME * max(Fraction(1), rate / clock.rate)
+        )
+        compared_per_frame = times_per_frame if curve is not None else 1
+        time_count = (clock.count - 1) * compared_per_frame + 1
+        point_count = attached_points(take.rig, SHELL_DISTANCE)[..., 0].size
+        compared_count = min(
+            time_count,
+            MAX_COMPARED_TIMES,
+            max(2, MAX_COMPARED_POINTS // max(point_count, 1)),
+        )
+        frame_indices = np.unique(
+            np.linspace(0, time_count - 1, compared_count).astype(np.int64)
+        )
+        frames = frame_indices / compared_per_frame
         motion: Motion
         if curve is None:
             motion = take.motion.select(frame_indices)
@@ -175,8 +183,8 @@ def _attached_snapshots(rig: Rig, world: WorldTransforms) -> list[Snapshot]:
 
 def _tolerances(rig: Rig) -> list[float]:
     """Return tolerances for reduction that suit the rig's size [m]."""
-    size = rest_size(rig) or 1.0
-    scale = 10.0 ** math.floor(math.log10(size))
+    rig_size = rest_size(rig) or 1.0
+    scale = 10.0 ** math.floor(math.log10(rig_size))
     return [float(f"{fraction * scale:.12g}") for fraction in TOLERANCES]
 
 
@@ -190,7 +198,7 @@ def _sample_trial(
     *,
     is_curved: bool,
 ) -> Trial:
-    """Return the trial of a take's samples in USD."""
+    """Return the trial of a take as samples in USD, at several rates."""
     bake_options = plan.options
     trial_options = BakeOptions(source=bake_options.source, to_up=bake_options.to_up)
     fps = bake_options.fps if rate in {bake_options.fps, take.clock.rate} else rate
@@ -203,7 +211,7 @@ def _sample_trial(
         return replace(trial_options, fps=fps, reduce=setting["reduce"])
 
     def run(setting: Setting) -> TrialOutcome:
-        if setting == SOURCE:
+        if setting == SOURCE_SETTING:
             return TrialOutcome(0.0, take.clock.count, reference.snapshots)
         with tempfile.TemporaryDirectory() as folder:
             output = Path(folder) / "take.usdc"
@@ -232,7 +240,7 @@ def _sample_trial(
         float(take.clock.duration),
         current_setting,
         lambda: settings,
-        lambda: [[SOURCE]],
+        lambda: [[SOURCE_SETTING]],
         run,
         ErrorMeasure.LARGEST,
         CostMeasure.BYTES,
@@ -244,18 +252,20 @@ def _sample_trial(
     )
 
 
-def _scene_text(path: Path, setting: Setting, rates: Mapping[float, Fraction]) -> str:
+def _scene_text(
+    path: Path, setting: Setting, rate_by_value: Mapping[float, Fraction]
+) -> str:
     """Return the text that selects a setting in a scene's output or a command."""
     if setting.method == RATE:
-        key, value = "fps", str(rates[setting["fps"]])
+        key, value = "fps", str(rate_by_value[setting["fps"]])
     else:
         key, value = "reduce", f"{setting['reduce'] * 1000:g}mm"
-    keys = setting.method == KEYS
+    writes_keys = setting.method == KEYS
     if has_kind_suffix(path, "scene"):
-        file = f"file: {source_stem(path)}.clip.yaml, " if keys else ""
-        return f"output: {{{file}{key}: {value}}}"
+        file_text = f"file: {source_stem(path)}.clip.yaml, " if writes_keys else ""
+        return f"output: {{{file_text}{key}: {value}}}"
     clip = f"{source_stem(path)}.reduced.clip.yaml"
-    command = f"convert {path.name} {clip}" if keys else f"bake {path.name}"
+    command = f"convert {path.name} {clip}" if writes_keys else f"bake {path.name}"
     return f"animtool {command} {argument(key)} {value}"
 
 
@@ -273,15 +283,15 @@ def _key_trial(path: Path, take: Take, joint_tolerances: dict[str, float]) -> Tr
     """Return the trial of a take as keys of a clip."""
 
     def run(setting: Setting) -> TrialOutcome:
-        if setting == SOURCE:
+        if setting == SOURCE_SETTING:
             return TrialOutcome(0.0, take.clock.count, [Snapshot(np.zeros((0, 3)))])
         start_time = time.perf_counter()
         tolerance = setting["reduce"]
         reduction = reduce_motion(take, tolerance, joint_tolerances=joint_tolerances)
         seconds = time.perf_counter() - start_time
-        t = reduction.frame / float(take.clock.rate)
+        seconds_at_worst = reduction.frame / float(take.clock.rate)
         error = PointDistances(reduction.error, reduction.error, reduction.error)
-        location = f"{reduction.joint} at {t:.2f} s"
+        location = f"{reduction.joint} at {seconds_at_worst:.2f} s"
         return TrialOutcome(seconds, reduction.keys, [], error=error, worst=location)
 
     default = parse_length(KEY_TOLERANCE)
@@ -292,7 +302,7 @@ def _key_trial(path: Path, take: Take, joint_tolerances: dict[str, float]) -> Tr
         float(take.clock.duration),
         Setting.of(KEYS, reduce=default),
         lambda: [Setting.of(KEYS, reduce=tolerance) for tolerance in tolerances],
-        lambda: [[SOURCE]],
+        lambda: [[SOURCE_SETTING]],
         run,
         ErrorMeasure.LARGEST,
         CostMeasure.STEPS,

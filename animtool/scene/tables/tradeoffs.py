@@ -26,7 +26,12 @@ from animtool.sim.trials.table import TrialRow, TrialTable
 from animtool.sim.trials.trial import Setting, Trial
 
 SUITE_FOLDER = Path(__file__).with_name("suite")
-SUITE = ("orbits.scene.yaml", "rope.scene.yaml", "reach.scene.yaml", "arm.clip.yaml")
+SUITE_FILES = (
+    "orbits.scene.yaml",
+    "rope.scene.yaml",
+    "reach.scene.yaml",
+    "arm.clip.yaml",
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +42,7 @@ class Tradeoffs:
     tables: list[TrialTable]  # in the order in which a bake produces the results
     notices: list[Fault] = field(default_factory=list)  # warnings about the tables
     budget: float | None = None  # largest acceptable error [m]; None if unspecified
-    pairs: list[StagePair] = field(default_factory=list)
+    stage_pairs: list[StagePair] = field(default_factory=list)
     json_keys: ClassVar[str] = "'report' source budget tables notices"
 
 
@@ -45,7 +50,7 @@ class Tradeoffs:
 class StagePair:
     """Two settings of a table, written as stages for visual comparison."""
 
-    table: int  # index of the table
+    table_index: int  # index of the table
     settings: tuple[Setting, Setting]  # the current setting, and another
     files: tuple[Path, Path]
     size: float  # size of the figure in the stages [m]; 0 if unknown
@@ -83,7 +88,7 @@ def measure_tradeoffs(
     report = _measure_trials(source_file(source), trials, budget, progress)
     if folder is None:
         return report
-    return replace(report, pairs=_write_pairs(trials, report.tables, folder))
+    return replace(report, stage_pairs=_write_pairs(trials, report.tables, folder))
 
 
 def suite_tradeoffs(
@@ -97,10 +102,10 @@ def suite_tradeoffs(
     """
     tables: list[TrialTable] = []
     notices: list[Fault] = []
-    for i, name in enumerate(SUITE):
+    for i, name in enumerate(SUITE_FILES):
         path = SUITE_FOLDER / name
         source = load_scene(path) if has_kind_suffix(path, "scene") else path
-        example_progress = part_progress(progress, i, len(SUITE))
+        example_progress = part_progress(progress, i, len(SUITE_FILES))
         report = measure_tradeoffs(source, budget=budget, progress=example_progress)
         tables += report.tables
         notices += report.notices
@@ -162,7 +167,9 @@ def _measure_trials(
         notices = [location.locate(notice) for notice in table.notices]
         tables.append(replace(table, notices=notices))
     notices = [notice for table in tables for notice in table.notices]
-    return Tradeoffs(path, tables, notices + _over_budget(path, tables), budget)
+    return Tradeoffs(
+        path, tables, notices + _over_budget_warnings(path, tables), budget
+    )
 
 
 def _write_pairs(
@@ -177,10 +184,8 @@ def _write_pairs(
         if trial.write is None or other_row is None:
             continue
         settings = (table.chosen.setting, other_row.setting)
-        chosen_name, other_name = (
-            f"table{i + 1}_present.usdc",
-            f"table{i + 1}_other.usdc",
-        )
+        chosen_name = f"table{i + 1}_present.usdc"
+        other_name = f"table{i + 1}_other.usdc"
         files = (folder / chosen_name, folder / other_name)
         for setting, file in zip(settings, files, strict=True):
             trial.write(setting, file)
@@ -196,7 +201,7 @@ def _row_to_compare(table: TrialTable) -> TrialRow | None:
     return next(iter([row for row in rows if row.best] or rows), None)
 
 
-def _over_budget(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
+def _over_budget_warnings(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:
     """Return a warning for each table without a setting within the budget (SIM176)."""
     faults = []
     for table in tables:

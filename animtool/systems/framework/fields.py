@@ -20,11 +20,11 @@ from animtool.documents.fields import (
     Real,
     Vector,
     check_numbers,
-    record_of,
+    record_from_model,
     shared_key,
     with_fields,
 )
-from animtool.documents.forms import EntryExamples
+from animtool.documents.value_hints import EntryExamples
 from animtool.sim.contact import Contact, Material
 
 # A name with its options, such as a force field.
@@ -177,7 +177,7 @@ class RecordModel(FileModel):
     def record(self, parts: Mapping[str, Any]) -> CheckedRecord:
         """Return the record built from the values that were read for the keys."""
         record_class: Any = load_object(self.record_path)
-        record: CheckedRecord = record_of(record_class, self, **parts)
+        record: CheckedRecord = record_from_model(record_class, self, **parts)
         return record
 
 

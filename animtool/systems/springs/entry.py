@@ -15,7 +15,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, RefusalCollector, counted
 from animtool.core.options import ENTRY_RANGE_MESSAGE, range_faults
 from animtool.core.record import dataclass
-from animtool.documents.fields import record_of
+from animtool.documents.fields import record_from_model
 from animtool.systems.framework.body_carriers import BodyCarrier
 from animtool.systems.framework.spec import JoinedEntry, PinnedPoints
 from animtool.systems.springs import Family, Solver
@@ -209,7 +209,7 @@ def _family(entry: BodyEntry, name: str, model: Any) -> Family:
     """Return a spring family; a family with invalid numbers has no force."""
     keys = ("stiffness", "frequency", "axial_stiffness")
     specified_keys = [key for key in keys if getattr(model, key, None) is not None]
-    family = record_of(Family, model)
+    family = record_from_model(Family, model)
     hint = "stiffness [N/m] of each spring, frequency [Hz] of its oscillation"
     if "axial_stiffness" in type(model).model_fields:
         hint += ", or axial_stiffness [N], force over strain"

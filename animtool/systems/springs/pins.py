@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, listed
 from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.documents.document import Location
-from animtool.documents.fields import record_of
+from animtool.documents.fields import record_from_model
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.body_carriers import BodyCarrier
@@ -267,8 +267,8 @@ def air_of(wind: FaceWindModel) -> Air:
     """Return the wind that acts on faces, over time."""
     velocity, gusts = np.array(wind.velocity), _gusts(wind)
     if not len(gusts):
-        return record_of(Air, wind, wind=velocity)
-    return record_of(Air, wind, wind=velocity + gusts[:, 1:], times=gusts[:, 0])
+        return record_from_model(Air, wind, wind=velocity)
+    return record_from_model(Air, wind, wind=velocity + gusts[:, 1:], times=gusts[:, 0])
 
 
 def _gusts(wind: WindModel) -> FloatArray:

@@ -17,7 +17,7 @@ from animtool.documents.fields import (
     Name,
     Real,
     Vector,
-    record_of,
+    record_from_model,
     shared_key,
     with_fields,
 )
@@ -281,7 +281,7 @@ class SpringsModel(SolvedModel):
     @property
     def options(self) -> SpringOptions:
         """Solver and steps."""
-        return record_of(SpringOptions, self)
+        return record_from_model(SpringOptions, self)
 
     @property
     def air(self) -> WindModel | None:
@@ -292,7 +292,7 @@ class SpringsModel(SolvedModel):
     def contact(self) -> SelfContact | None:
         """Settings of self-contact; None if it is off."""
         model: SelfContactModel | None = getattr(self, "self_contact", None)
-        return None if model is None else record_of(SelfContact, model)
+        return None if model is None else record_from_model(SelfContact, model)
 
 
 class RopeModel(SpringsModel):

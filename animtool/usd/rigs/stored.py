@@ -12,7 +12,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, Severity, listed
 from animtool.core.quantities import length_text
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.maths import so3
 from animtool.rig.controls import Control
 from animtool.rig.drivers import Driver, split_coordinate
@@ -112,7 +112,7 @@ def merge_rig(
     text = custom_data.get("rig")
     if not text:
         return usd_rig, []
-    document = document_of(str(text), path)
+    document = parse_document(str(text), path)
     # The referenced arrays are stored in USD.
     document.partial_lists |= {"meshes", "attach"}
     try:

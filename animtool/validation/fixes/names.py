@@ -11,7 +11,12 @@ from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
 from animtool.core.files.reading import matching_files
 from animtool.core.readers import DOCUMENT, READERS
-from animtool.documents.document import Location, document_of, read_document, read_text
+from animtool.documents.document import (
+    Location,
+    parse_document,
+    read_document,
+    read_text,
+)
 from animtool.documents.edit import Edit, Rename, Replace
 from animtool.rig.drivers import renamed_coordinates, split_coordinate
 from animtool.rig.expressions import parse_expression
@@ -49,7 +54,7 @@ def files_using_names(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, s
 def _used_name(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
     """Return the first name of a rig that a file uses."""
     try:
-        value = document_of(text, path).value
+        value = parse_document(text, path).value
     except AnimtoolError:
         # A file that cannot be parsed may use any name in it.
         return next(name for name in names if name in text)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import TypeAlias
 
 from animtool.core.errors import Fault
+from animtool.core.names import DOCUMENT_FILE_SUFFIXES
 from animtool.core.readers import READERS, USD
 from animtool.core.record import dataclass
-from animtool.documents.yaml_values import DOCUMENT_FILE_SUFFIXES
 from animtool.validation.fixes.draft import FileDraft, FixStep, has_fix
 from animtool.validation.options import ValidateOptions, settings_of
 from animtool.validation.run import Report

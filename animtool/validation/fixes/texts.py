@@ -24,7 +24,7 @@ from animtool.core.files.output import (
 )
 from animtool.core.files.reading import read_input
 from animtool.core.record import dataclass
-from animtool.documents.document import document_of, parse_location, read_text
+from animtool.documents.document import parse_document, parse_location, read_text
 from animtool.documents.edit import Add, EditError, Remove, Replace, apply_edits
 from animtool.documents.references import split_reference
 from animtool.rig.parts import ArrayRef
@@ -127,7 +127,7 @@ class TextDraft:
     @cached_property
     def checked_file(self) -> CheckedFile:
         """The parsed text, as the subject of the rules."""
-        return open_document(document_of(self.text, self.path))
+        return open_document(parse_document(self.text, self.path))
 
     @cached_property
     def findings(self) -> Sequence[Fault]:

@@ -32,7 +32,7 @@ from animtool.core.readers import (
 )
 from animtool.core.rules import Kind
 from animtool.documents.document import Document, read_document
-from animtool.documents.versions import MIGRATION_STEPS, version_of
+from animtool.documents.versions import MIGRATION_STEPS, kind_and_version
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.subject import CheckedFile
 
@@ -42,10 +42,10 @@ if TYPE_CHECKING:
 
 def open_batch(document: Document) -> CheckedFile:
     """Read a batch file; report inputs that match no file."""
-    from animtool.batch.file import batch_of_document
+    from animtool.batch.file import parse_batch
     from animtool.batch.inputs import input_faults
 
-    batch = batch_of_document(document)
+    batch = parse_batch(document)
     return CheckedFile(Kind.BATCH, input_faults(batch, document), batch)
 
 
@@ -200,7 +200,7 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
 
 def open_document(document: Document, values: SceneValues | None = None) -> CheckedFile:
     """Read a document of the kind that its version line states; see `open_file`."""
-    kind = Kind(version_of(document, MIGRATION_STEPS)[0])
+    kind = Kind(kind_and_version(document, MIGRATION_STEPS)[0])
     scene_values = (values,) if kind is Kind.SCENE else ()
     checked_file = _call_opener(kind, document, *scene_values)
     checked_file.document = document

@@ -21,9 +21,9 @@ from animtool.ik.tracks import TargetTracks
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.scene.file.entries import SceneOutput
-from animtool.scene.file.read import scene_of_document
+from animtool.scene.file.read import parse_scene
 from animtool.scene.scene import Scene
-from animtool.scene.systems.character_motion import motion_of
+from animtool.scene.systems.character_motion import motion_from_take
 from animtool.validation.subjects.subject import CheckedFile, DocumentSubject
 
 # Values that differ by less are equal [m], [1].
@@ -84,7 +84,7 @@ def open_scene(
     ``batch_values``: values of its variables from a batch.
     """
     values = SceneValues() if batch_values is None else batch_values
-    scene = scene_of_document(document, values.values, parts=values.component_names)
+    scene = parse_scene(document, values.values, parts=values.component_names)
     path = str(document.path)
     checked_file = CheckedFile(Kind.SCENE)
     if not scene.sources:
@@ -129,7 +129,7 @@ def _system_faults(scene: Scene, take: Take | None) -> list[Fault]:
         return []
     from animtool.scene.systems.run import SystemRun  # loads USD
 
-    motion = None if take is None else motion_of(scene.path, take)
+    motion = None if take is None else motion_from_take(scene.path, take)
     rig = None if take is None else take.rig
     seconds = _simulated_seconds(scene, take)
     try:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from support.faults import raises
 
-from animtool.batch.item import read_rules
+from animtool.batch.item import read_path_rules
 from animtool.cli.main import run
 from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, FormatError
@@ -209,7 +209,7 @@ def test_rules_of_paths_are_not_read_without_end(tmp_path: Path) -> None:
     with path.open("wb") as file:
         file.truncate(files.MAX_TEXT_BYTES + 1)
     with raises(FormatError, "BAT038"):
-        read_rules(path)
+        read_path_rules(path)
 
 
 def test_a_file_that_grows_is_read_as_long_as_it_was(tmp_path: Path) -> None:

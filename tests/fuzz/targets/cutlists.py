@@ -61,7 +61,7 @@ def make(folder: Path) -> Callable[[np.random.Generator], str]:
             for cut in cuts.shots:
                 assert cut.shot is not None
                 assert cut.shot.cut_in <= cut.shot.cut_out
-                assert all(isinstance(v, str) for v in cut.names.values())
+                assert all(isinstance(v, str) for v in cut.shot_values.values())
                 json.dumps(plain_value(cut.shot), allow_nan=False)
                 assert math.isfinite(float(cut.shot.media_in))
             if rng.integers(4) == 0:

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 from support.bvh import random_rows, small_bvh
 
-from animtool.batch.bundle import chunk_size, mean_seconds
+from animtool.batch.bundle import chunk_size, mean_item_seconds
 from animtool.batch.cluster_client import scheduler_address
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
-from animtool.batch.item import map_path, read_rules
-from animtool.batch.ledger import _owner, _RecordFiles, locked_ledger, read_history
-from animtool.batch.manifest import ItemRecord, record_of
+from animtool.batch.item import map_path, read_path_rules
+from animtool.batch.ledger import _owner_text, _RecordFiles, locked_ledger, read_history
+from animtool.batch.manifest import ItemRecord, record_file
 from animtool.batch.plan import Planner
 from animtool.batch.run import RunOptions, run_batch
 from animtool.batch.spec import BatchSpec, relative_name
@@ -81,9 +81,9 @@ class _Recorded:
         self.batch = find_batch(spec)
         for part in ("1-2", ""):
             self._record(part)
-        self.records = self.batch.records
+        self.records_folder = self.batch.records_folder
         self.first = self.out / "records"
-        shutil.copytree(self.records, self.first)
+        shutil.copytree(self.records_folder, self.first)
         self.data = {
             path.relative_to(self.first): path.read_bytes()
             for path in sorted(self.first.rglob("*"))
@@ -92,32 +92,32 @@ class _Recorded:
 
     def _record(self, part: str) -> None:
         batch = self.batch
-        with locked_ledger(batch.records, batch.name, part) as ledger:
+        with locked_ledger(batch.records_folder, batch.name, part) as ledger:
             planner = Planner(batch, ledger.history)
             for item in batch.items[:2] if part else batch.items[2:]:
                 item.output.write_bytes(b"made")
                 files = [
                     (
-                        record_of(
+                        record_file(
                             path, relative_name(path, batch.root), FileState.of(path)
                         ),
                     )
                     for path in (item.file.path, item.output)
                 ]
-                key, how = planner.key(item), planner.settings_digest(item)
-                ledger.claim([key])
+                key, how = planner.record_key(item), planner.settings_digest(item)
+                ledger.add_names([key])
                 made = ItemRecord(
                     key, how, planner.versions, *files, 2 * 10**18, SCORES
                 )
                 ledger.add(made)
-            ledger.failed("other.usdc", "BAT020 it crashed")
+            ledger.add_failure("other.usdc", "BAT020 it crashed")
 
     def run(self, rng: np.random.Generator) -> str:
         names = list(self.data)
         chosen = names[int(rng.integers(len(names)))]
         by_bytes = bool(rng.integers(2))
         for name, data in self.data.items():
-            (self.records / name).write_bytes(
+            (self.records_folder / name).write_bytes(
                 _spoilt_lines(rng, data, by_bytes=by_bytes) if name == chosen else data
             )
         changed = int(rng.integers(COUNT))
@@ -140,14 +140,14 @@ class _Recorded:
     def _settled(self) -> None:
         """Write records anew, which then are whole."""
         batch = self.batch
-        with locked_ledger(batch.records, batch.name) as ledger:
-            ledger.failed("another.usdc", "why")
+        with locked_ledger(batch.records_folder, batch.name) as ledger:
+            ledger.add_failure("another.usdc", "why")
             ledger.merge_records(lambda _: True)
             made = ledger.history.manifest.items
-        again = read_history(batch.records, batch.name)
+        again = read_history(batch.records_folder, batch.name)
         assert again.manifest.items == made
-        assert not again.damaged
-        _owner(_RecordFiles(batch.records, batch.name))
+        assert not again.damage_warnings
+        _owner_text(_RecordFiles(batch.records_folder, batch.name))
 
 
 def _spoilt_lines(rng: np.random.Generator, data: bytes, *, by_bytes: bool) -> bytes:
@@ -186,13 +186,13 @@ def _other(path: Path, data: bytes, read: Callable[[Path], object]) -> Run:
 
 
 def _mapped(path: Path) -> None:
-    rules = read_rules(path)
+    rules = read_path_rules(path)
     for text in ("/show/takes/a.bvh", "Z:\\show\\a.bvh", "a"):
         assert map_path(text, rules)
 
 
 def _mean(path: Path) -> None:
-    seconds = mean_seconds(path)
+    seconds = mean_item_seconds(path)
     assert 0 <= seconds < float("inf")
     assert 1 <= chunk_size(100, seconds) <= 100
 

@@ -33,5 +33,5 @@ def test_two_settings_play_together(browser: Browser, tmp_path: Path) -> None:
     assert said == []
     assert frames == 2
     # The arm is .7 m long at first, with points 3 cm off it.
-    (pair,) = report.pairs
+    (pair,) = report.stage_pairs
     assert pair.size == pytest.approx(0.7, abs=0.1)

@@ -61,7 +61,7 @@ def test_what_a_scene_reads_is_not_replaced(
 def test_every_clash_of_options_is_said_at_once() -> None:
     options = BakeOptions(form="layer", bones=True, rest_frame=3)
     with pytest.raises(AnimtoolError) as caught:
-        check_options(options, to_stdout=False)
+        check_options(options, is_stdout=False)
     assert len(caught.value.faults) == 3
 
 

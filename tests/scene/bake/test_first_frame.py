@@ -15,7 +15,7 @@ from support.suite import some_quick
 
 from animtool.core.clock import Clock
 from animtool.core.rates import parse_rate
-from animtool.scene.bake.first_frame import frame_start, integer_frames
+from animtool.scene.bake.first_frame import integer_frames, start_frame_at_rate
 from animtool.usd.takes.read import read_usd
 
 FIRST, FRAMES = 1001, 24
@@ -105,14 +105,14 @@ def test_samples_are_kept_at_their_times(tmp_path: Path) -> None:
 
 
 def test_a_whole_start_keeps_its_number() -> None:
-    assert frame_start(Fraction(1000), Fraction(24), parse_rate("25")) == 1000
-    assert frame_start(Fraction(24024, 25), Fraction(24), Fraction(24)) == Fraction(
-        24024, 25
-    )
+    assert start_frame_at_rate(Fraction(1000), Fraction(24), parse_rate("25")) == 1000
+    assert start_frame_at_rate(
+        Fraction(24024, 25), Fraction(24), Fraction(24)
+    ) == Fraction(24024, 25)
     # Far from a frame at the other rate: the nearest where whole ones are asked for.
     half = Fraction(97096, 100)
-    assert frame_start(half, Fraction(24), Fraction(25)) == 1011
-    kept = frame_start(half, Fraction(24), Fraction(25), rounds_to_frame=False)
+    assert start_frame_at_rate(half, Fraction(24), Fraction(25)) == 1011
+    kept = start_frame_at_rate(half, Fraction(24), Fraction(25), is_rounded=False)
     assert kept == half * 25 / 24
 
 

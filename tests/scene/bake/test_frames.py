@@ -37,7 +37,7 @@ def test_the_last_frame_of_a_take_lasts_until_the_next_would_come(
     shot = Shot(1001, last, fps=Fraction(24))
     plan = planned(take, BakeOptions(shot=shot))
     sampled = sample_take(plan, plan.stream)
-    assert sampled.frames == (1001, last)
+    assert sampled.first_and_last == (1001, last)
     codes = np.concatenate([codes for codes, _ in sampled.blocks])
     assert codes.tolist() == list(range(1001, last + 1))
     notices = [notice for notice in plan.notices if notice.code != "TAKE007"]

@@ -54,7 +54,7 @@ RIG = Path("rig.usda")
 )
 def test_what_excludes_each_other(given: dict[str, Any], word: str) -> None:
     with pytest.raises(OptionError) as caught:
-        check_options(BakeOptions(**given), to_stdout=False)
+        check_options(BakeOptions(**given), is_stdout=False)
     told = [fault.with_argument_names(FlagNamer(bake)) for fault in caught.value.faults]
     assert any(word in fault.message for fault in told)
     assert {fault.code for fault in caught.value.faults} == {"CLI002"}
@@ -72,16 +72,16 @@ def test_what_excludes_each_other(given: dict[str, Any], word: str) -> None:
     ],
 )
 def test_what_goes_together(given: dict[str, Any]) -> None:
-    check_options(BakeOptions(**given), to_stdout=False)
+    check_options(BakeOptions(**given), is_stdout=False)
 
 
 @pytest.mark.parametrize(
     "given", [{"form": "split"}, {"form": "library"}, {"deform": True, "chunk": 3}]
 )
 def test_what_stdout_cannot_hold(given: dict[str, Any]) -> None:
-    check_options(BakeOptions(**given), to_stdout=False)
+    check_options(BakeOptions(**given), is_stdout=False)
     with raises(OptionError, "CLI002"):
-        check_options(BakeOptions(**given), to_stdout=True)
+        check_options(BakeOptions(**given), is_stdout=True)
 
 
 def test_options_come_before_those_of_an_output() -> None:

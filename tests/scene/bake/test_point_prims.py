@@ -10,7 +10,7 @@ from numpy.testing import assert_array_equal
 
 from animtool.motion.motion import Channel, Motion
 from animtool.scene.bake import deformed_character
-from animtool.scene.bake.deformed_character import motion_pieces
+from animtool.scene.bake.deformed_character import motion_chunks
 
 
 def motion_of(codes: np.ndarray) -> Motion:
@@ -40,8 +40,8 @@ def test_pieces_are_the_motion_with_their_neighbours(
 ) -> None:
     count = sum(lengths)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(deformed_character, "PIECE_FRAMES", most)
-        found = list(motion_pieces(blocks(lengths), neighbours=neighbours))
+        patch.setattr(deformed_character, "CHUNK_FRAMES", most)
+        found = list(motion_chunks(blocks(lengths), has_neighbours=neighbours))
     own = []
     for codes, motion, kept in found:
         assert_array_equal(motion.translations.dense()[:, 0, 0], codes)

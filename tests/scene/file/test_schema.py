@@ -9,7 +9,7 @@ import pytest
 
 from animtool.core.errors import FormatError
 from animtool.documents.check import validate_document
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.scene.file.schema import SystemModel, full_model, model_for
 from animtool.systems.framework.kinds import SYSTEM_KINDS
 
@@ -38,7 +38,7 @@ ENTRIES = [
 
 def reading(text: str, model: Any) -> tuple[Any, list[str]]:
     """Return a document as read, and what was found."""
-    document = document_of(text, Path("it.scene.yaml"))
+    document = parse_document(text, Path("it.scene.yaml"))
     try:
         read = validate_document(document, model(document.value)).model_dump()
         document.check()

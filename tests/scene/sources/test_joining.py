@@ -24,10 +24,12 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.controls import Control, Drive
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
+from animtool.scene.file.entries import EntryLocation, SceneSource
 from animtool.scene.file.read import load_scene
 from animtool.scene.file.tracks import TrackNames
 from animtool.scene.sources.joining import JoinedSource, join_sources
 from animtool.scene.sources.onto_rig import map_to_rig
+from animtool.scene.sources.open import SourceOptions
 
 GRIN = Control("grin", drives=(Drive("shape/smile"), Drive("joint/jaw.rotation.x")))
 HERO = Rig(
@@ -50,10 +52,13 @@ def note(
     return Fault(code, message, hint=hint, severity=severity)
 
 
+def entry(**given: object) -> SceneSource:
+    location = EntryLocation(Path("a.scene.yaml"), 1, 1, "source")
+    return SceneSource(Path("a.bvh"), SourceOptions(), location, **given)
+
+
 def part(take: Take, **given: object) -> JoinedSource:
-    stream = TakeStream.of(take)
-    made = JoinedSource(stream, None, None, None, note)
-    return replace(made, **given)
+    return JoinedSource(TakeStream.of(take), entry(**given))
 
 
 def numbered(
@@ -203,7 +208,7 @@ def refused(*parts: JoinedSource) -> list[str]:
 def test_what_is_refused() -> None:
     strange = Rig("strange", (Joint("tail", -1),))
     first = part(numbered(HERO, 4))
-    timed = replace(first, timecode="01:00:00:00")
+    timed = replace(first, entry=entry(timecode="01:00:00:00"))
     assert refused(first, part(numbered(strange, 4))) == ["SCN036"]
     assert refused(first, part(still(HERO, 4))) == ["SCN036"]
     assert refused(timed, part(numbered(HERO, 4))) == ["SCN034"]
@@ -221,8 +226,8 @@ def test_two_that_bring_the_same_are_named() -> None:
     faces = [part(numbered(HERO, 4)) for _ in range(2)]
     stream = join_sources(part(numbered(HERO, 4)), faces)
     assert codes(stream) == ["SCN105"]
-    named = [replace(face, tracks=TrackNames(joints=("jaw",))) for face in faces]
-    named = [replace(p, stream=TakeStream.of(numbered(HERO, 4))) for p in named]
+    jaw = TrackNames(joints=("jaw",))
+    named = [part(numbered(HERO, 4), tracks=jaw) for _ in faces]
     assert codes(join_sources(part(numbered(HERO, 4)), named)) == []
 
 
@@ -402,9 +407,10 @@ def keyed_grin(fps: int, delay: str) -> TakeStream:
     ends = np.array([[0.0], [1.0]])
     curves = cubic_curves(np.array([1003.0, 1033.5]), ends, 0 * ends, 0 * ends)
     stream = replace(TakeStream.of(face), control_curves={"grin": curves})
-    source = JoinedSource(stream, TrackNames(controls=("grin",)), delay, None, note)
+    grin = TrackNames(controls=("grin",))
+    source = JoinedSource(stream, entry(tracks=grin, timecode=delay))
     base = replace(TakeStream.of(still(HERO, 20)), start=Fraction(7010, 7))
-    return join_sources(JoinedSource(base, None, "23:59:59:22", None, note), [source])
+    return join_sources(JoinedSource(base, entry(timecode="23:59:59:22")), [source])
 
 
 @pytest.mark.parametrize(

@@ -58,7 +58,7 @@ def clip(root: Path) -> Path:
 
 @pytest.fixture
 def stride(clip: Path) -> CharacterMotion:
-    return CharacterMotions().of(clip)
+    return CharacterMotions().for_file(clip)
 
 
 def scene(folder: Path, root: Path, systems: str, character: str) -> Any:

@@ -120,7 +120,7 @@ def test_keys_are_read_as_their_types_say(tmp_path: Path) -> None:
         flocks=[{"place": {"disc": {"radius": 2}}}, {"wing": {"plane": None}}],
     )
     assert setup is not None, document
-    parts = setup.parts
+    parts = setup.entries
     assert parts["forces"] == [Gravity(), Wind(velocity=(1.0, 0.0, 0.0), drag=2.0)]
     assert_array_equal(parts["masses"], [1, 2])
     assert_array_equal(parts["goal"]["poses"].rows[0, :3], [1, 2, 3])
@@ -186,7 +186,7 @@ def test_a_file_with_a_method_is_simulated_by_it(tmp_path: Path) -> None:
     euler = run(tmp_path, method="euler", step=0.02)
     for t, shot in zip(TIMES, trial.run(setting).snapshots, strict=True):
         assert_array_equal(euler.at(t).points, shot.points)
-    assert system(tmp_path, method="euler").setup.result_text == (
+    assert system(tmp_path, method="euler").setup.summary == (
         "it, by euler in steps of 0.01 s"
     )
 

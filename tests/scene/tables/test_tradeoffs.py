@@ -15,7 +15,7 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.file.read import load_scene
 from animtool.scene.tables.take import KEYS, RATE
 from animtool.scene.tables.tradeoffs import (
-    SUITE,
+    SUITE_FILES,
     SUITE_FOLDER,
     measure_tradeoffs,
     suite_tradeoffs,
@@ -99,9 +99,9 @@ def test_a_scene_is_traded_in_the_order_of_a_bake(tmp_path: Path) -> None:
     report = measure_tradeoffs(load_scene(path), folder=folder)
     kinds = [table.kind for table in report.tables]
     assert kinds == ["spring_chain", "samples in USD", "keys of a clip"]
-    assert [pair.table for pair in report.pairs] == [0, 1]
-    for pair in report.pairs:
-        assert pair.settings[0] == report.tables[pair.table].chosen.setting
+    assert [pair.table_index for pair in report.stage_pairs] == [0, 1]
+    for pair in report.stage_pairs:
+        assert pair.settings[0] == report.tables[pair.table_index].chosen.setting
         assert all(file.stat().st_size for file in pair.files)
 
 
@@ -120,7 +120,7 @@ def test_the_suite_has_all_that_can_be_traded() -> None:
         "particles", "rope", "ik",
         "samples in USD", "keys of a clip", "samples in USD", "keys of a clip",
     ]  # fmt: skip
-    assert {table.name for table in report.tables} >= {*SUITE} - {
+    assert {table.name for table in report.tables} >= {*SUITE_FILES} - {
         "orbits.scene.yaml",
         "rope.scene.yaml",
     }

@@ -67,7 +67,7 @@ def notices(simulator: Simulator, systems: list[dict[str, Any]]) -> dict[str, st
     """Return what is warned of at the beginning, by code."""
     scene = simulator.scene(systems)
     run = SystemRun(scene.systems, 0.0, None, None)
-    list(run.rows([scene.bake.frame_range.first], 1, FPS))  # type: ignore[union-attr]
+    list(run.coded_frames([scene.bake.frame_range.first], 1, FPS))  # type: ignore[union-attr]
     return {fault.code: fault.message for fault in run.notices}
 
 
@@ -461,7 +461,7 @@ def test_crowds_and_rocks_go_on_from_their_states(simulator: Simulator) -> None:
         ]
         run = SystemRun(simulator.scene(systems).systems, times[-1], None, None)
         codes = [round(t * 24) for t in times]
-        rows = [row[1].points for _, row in run.rows(codes, 0, 24)]  # type: ignore[arg-type]
+        rows = [row[1].points for _, row in run.coded_frames(codes, 0, 24)]  # type: ignore[arg-type]
         run.save_states(simulator.folder)
         return rows
 
@@ -570,7 +570,7 @@ def test_a_goal_in_an_obstacle_names_it(
     )
     scene = simulator.scene(systems)
     run = SystemRun(scene.systems, 0.0, None, None)
-    list(run.rows([scene.bake.frame_range.first], 1, FPS))  # type: ignore[union-attr]
+    list(run.coded_frames([scene.bake.frame_range.first], 1, FPS))  # type: ignore[union-attr]
     assert [one.code for one in run.notices] == ["SIM146"] * (message is not None)
     for notice in run.notices:
         assert str(notice.where).endswith("goals[1].at")

@@ -137,7 +137,7 @@ def test_who_begins_in_a_collider_is_moved_out(simulator: Simulator) -> None:
     ball = {"name": "rock", "shape": {"sphere": {"radius": 1.5}}}
     scene = simulator.scene(flock(BIRD, colliders=[ball]))
     run = SystemRun(scene.systems, 0.0)
-    ((_, (row,)),) = run.rows([0], 0, 1)  # type: ignore[list-item,arg-type]
+    ((_, (row,)),) = run.coded_frames([0], 0, 1)  # type: ignore[list-item,arg-type]
     assert np.linalg.norm(row.points, axis=1).min() >= 1.6
     (notice,) = run.notices
     assert notice.code == "SIM124"
@@ -161,7 +161,7 @@ def test_members_outside_of_the_domain_are_one_warning(
     vision = {"vision": {"radius": 0.8}}
     scene = simulator.scene(flock({**bird, **vision}, domain=domain))
     run = SystemRun(scene.systems, 0.0)
-    list(run.rows([0], 0, 1))
+    list(run.coded_frames([0], 0, 1))
     assert [one.code for one in run.notices] == ["SIM124"] * bool(count)
     for notice in run.notices:
         assert notice.message.startswith(f"{count} of 12 members start outside")
@@ -414,7 +414,7 @@ def test_who_is_given_a_place_in_another_is_moved_with_a_word(
     np.savez(tmp_path / "two.npz", points=[[0.0, 0, 0], [0.05, 0, 0]])
     scene = simulator.scene(flock({"name": "fish", "points": "two.npz", "radius": 0.1}))
     run = SystemRun(scene.systems, 0.0)
-    ((_, (row,)),) = run.rows([0], 0, 1)  # type: ignore[list-item,arg-type]
+    ((_, (row,)),) = run.coded_frames([0], 0, 1)  # type: ignore[list-item,arg-type]
     assert np.linalg.norm(row.points[1] - row.points[0]) >= 0.2
     assert [notice.code for notice in run.notices] == ["SIM147"]
 
@@ -492,7 +492,7 @@ def test_a_speed_rule_too_stiff_for_the_step_is_said(simulator: Simulator) -> No
     # 2 · 0.2 · 40² = 640 1/s, and midpoint is stable up to 2 / 640 s.
     for step, codes in ((0.01, ["SIM101"]), (0.003, [])):
         run = SystemRun(simulator.scene(flock(fast, step=step)).systems, 0.0)
-        rows = [row for _, (row,) in run.rows(range(13), 0, 24)]  # type: ignore[arg-type]
+        rows = [row for _, (row,) in run.coded_frames(range(13), 0, 24)]  # type: ignore[arg-type]
         assert [notice.code for notice in run.notices] == codes
         lengths = [
             np.linalg.norm(b.points - a.points, axis=1) for a, b in pairwise(rows)

@@ -63,7 +63,7 @@ def test_an_example_in_another_unit_is_the_same(
     view, keys = View(scale=1 / length), {"units": {"length": unit}}
     (other,) = written.scene(entry(kind), view, **keys).systems
     assert_close(plain.setup.spec, other.setup.spec, "spec")
-    assert_close(plain.setup.parts, other.setup.parts, "parts")
+    assert_close(plain.setup.entries, other.setup.entries, "parts")
     assert_close(plain.setup.surroundings, other.setup.surroundings, "around")
 
 

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from support.example_rig import EXAMPLE_RIG, write_example_rig
 
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.documents.edit import apply_edits
 from animtool.rig.file import load_rig
 from animtool.rig.schema import RigModel
@@ -31,7 +31,7 @@ def odd(name: str) -> str:
 
 
 def renamed(text: str, key: str, new: dict[str, str]) -> str:
-    value = document_of(text, PATH).value
+    value = parse_document(text, PATH).value
     return apply_edits(text, PATH, list(rename_edits(value, key, new)))
 
 

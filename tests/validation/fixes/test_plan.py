@@ -12,7 +12,7 @@ from support.suite import examples
 
 from animtool.core.errors import Fault
 from animtool.core.rules import builtin_rules
-from animtool.documents.document import document_of
+from animtool.documents.document import parse_document
 from animtool.validation.fixes.draft import FIXES, load_fix
 from animtool.validation.fixes.plan import mark_fixable, plan_fixes
 from animtool.validation.fixes.run import fix_files
@@ -136,7 +136,8 @@ def test_a_mend_that_makes_it_worse_is_not_kept(
     assert not fixes.report.mended
     assert [why for _, why in fixes.unfixed_findings] == ["the fix would cause DOC022"]
     assert (
-        document_of(path.read_text("utf-8"), path).value["joints"][0]["type"] == "free"
+        parse_document(path.read_text("utf-8"), path).value["joints"][0]["type"]
+        == "free"
     )
 
 

@@ -24,7 +24,7 @@ from animtool.documents.yaml_text import flow_text
 from animtool.documents.yaml_values import plain_scalar
 
 # Longer examples do not fit on one line.
-MAX_EXAMPLE = 100
+MAX_EXAMPLE_LENGTH = 100
 _NUMBER_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:[-xX:,]|\.\.)\s*(-?\d+(?:\.\d+)?)")
 _NUMBER_UNIT = re.compile(r"\d+([A-Za-z]+)")
 _TIME_CODE = re.compile(r"\d+:\d\d:\d\d[:;]\d\d")
@@ -33,17 +33,17 @@ _RANGE_LENGTH = 2
 
 @dataclass(frozen=True, slots=True)
 class EntryExamples:
-    """Examples of options by name, for mappings that have a single entry."""
+    """Annotation of a mapping with one entry: examples of the options of each name."""
 
     options: Mapping[str, Any] = field(hash=False)
 
 
 @dataclass(frozen=True, slots=True)
 class EntryNames:
-    """Names of which each is an item of a list, with its options below it."""
+    """Annotation of a list of names with options below them, such as passes."""
 
-    noun: str  # what a name is of, such as a pass
-    find: Callable[[], Collection[str]]  # returns the known names
+    noun: str  # noun for one item in messages, such as "pass"
+    find_names: Callable[[], Collection[str]]  # returns the known names
 
 
 def syntax_hint(
@@ -57,45 +57,45 @@ def syntax_hint(
         location: Location of the faulty value.
         expects_list: Whether a list is expected.
     """
-    match = field_at(model, value, location)
-    if match is None:
+    field_match = field_at(model, value, location)
+    if field_match is None:
         return None
-    depth, field_info = match
-    entry = value_at(value, location)
+    depth, field_info = field_match
+    faulty_value = value_at(value, location)
     examples = field_info.examples or [None]
     example, inner_steps = examples[0], location[depth:]
-    is_mapping = expects_list and isinstance(entry, dict) and not inner_steps
+    is_mapping = expects_list and isinstance(faulty_value, dict) and not inner_steps
     holds_mappings = not isinstance(example, list) or not _are_numbers(example)
-    if is_mapping and holds_mappings and not _converted_value(entry, example):
-        entries = _list_entries(annotation_of(field_info), entry)
+    if is_mapping and holds_mappings and not _converted_value(faulty_value, example):
+        entries = _list_entries(annotation_of(field_info), faulty_value)
         for example_entries in (entries, entries[:1]):
             text = flow_text(str(location[depth - 1]), example_entries)
-            if example_entries and len(text) <= MAX_EXAMPLE:
+            if example_entries and len(text) <= MAX_EXAMPLE_LENGTH:
                 word = "write" if example_entries is entries else "for example"
                 return f"{word} {text}"
         if entries:
             return f"write '- {next(iter(entries[0]))}:', with a dash for each entry"
     entry_examples = _entry_examples(annotation_of(field_info))
     options = {} if entry_examples is None else entry_examples.options
-    name = inner_steps[0] if inner_steps else entry
+    name = inner_steps[0] if inner_steps else faulty_value
     if isinstance(name, str) and name in options:
         example = {name: options[name]}
-    elif isinstance(entry, str) and _takes_file(annotation_of(field_info)):
+    elif isinstance(faulty_value, str) and _takes_file(annotation_of(field_info)):
         # In a list, show the form of one entry.
         is_list = inner_steps or not models_of(annotation_of(field_info))
-        example = [{"file": entry}] if is_list else {"file": entry}
+        example = [{"file": faulty_value}] if is_list else {"file": faulty_value}
     group = None
-    if inner_steps and isinstance(entry, str):
+    if inner_steps and isinstance(faulty_value, str):
         group = _named_group(value_at(value, location[:depth]), example)
     if group == [] or not isinstance(example, list | tuple | dict):
         return None
     key = str(location[depth - 1])
-    converted_value = group if inner_steps else _converted_value(entry, example)
+    converted_value = group if inner_steps else _converted_value(faulty_value, example)
     if converted_value is not None:
-        return f"write {_shortened_flow(key, converted_value)}"
+        return f"write {_shortened_list_text(key, converted_value)}"
     text = flow_text(key, example)
-    word = "write" if _example_contains(example, entry) else "for example"
-    return f"{word} {text}" if len(text) <= MAX_EXAMPLE else None
+    word = "write" if _example_contains(example, faulty_value) else "for example"
+    return f"{word} {text}" if len(text) <= MAX_EXAMPLE_LENGTH else None
 
 
 def named_options_hint(
@@ -106,52 +106,58 @@ def named_options_hint(
     Names have `EntryExamples`, as the shapes of an emitter do. Keys of the mapping's
     parent move there. None if the mapping has no such form.
     """
-    match = field_at(model, value, location)
-    forms = _entry_examples(annotation_of(match[1])) if match else None
-    if match is None or forms is None or match[0] != len(location):
+    field_match = field_at(model, value, location)
+    examples = _entry_examples(annotation_of(field_match[1])) if field_match else None
+    if field_match is None or examples is None or field_match[0] != len(location):
         return None
     entry = value_at(value, location)
     parent_keys = fields_at(model, value, location[:-1])
-    option_keys = {key for form in forms.options.values() for key in form}
+    option_keys = {key for example in examples.options.values() for key in example}
     moved_keys = [k for k in entry if k in parent_keys and k not in option_keys]
-    moved = {key: entry[key] for key in moved_keys}
-    names = [key for key in entry if key in forms.options]
-    options = {key: entry[key] for key in entry if key not in {*moved, *names}}
+    moved_options = {key: entry[key] for key in moved_keys}
+    names = [key for key in entry if key in examples.options]
+    options = {key: entry[key] for key in entry if key not in {*moved_options, *names}}
     if not names and options:
-        form_items = forms.options.items()
-        names = [name for name, form in form_items if form.keys() >= options.keys()]
-    if len(names) == 1 and (options or moved):
+        option_examples = examples.options.items()
+        names = [
+            name
+            for name, example in option_examples
+            if example.keys() >= options.keys()
+        ]
+    if len(names) == 1 and (options or moved_options):
         stated_options = entry.get(names[0]) or {}
         if not isinstance(stated_options, dict):
             return None
-        form = {names[0]: {**stated_options, **options}}
-    elif not names and moved:
-        form = (match[1].examples or [{}])[0]
+        example = {names[0]: {**stated_options, **options}}
+    elif not names and moved_options:
+        example = (field_match[1].examples or [{}])[0]
     else:
         return None
-    texts = [flow_text(str(location[-1]), form)]
-    texts += [flow_text(key, item) for key, item in moved.items()]
+    texts = [flow_text(str(location[-1]), example)]
+    texts += [flow_text(key, item) for key, item in moved_options.items()]
     return f"write {', '.join(texts)}"
 
 
 def key_named_by(
-    model: type[BaseModel], value: Any, mapping: Location, name: str
+    model: type[BaseModel], value: Any, mapping: Location, option_name: str
 ) -> str | None:
-    """Return the key whose options a name starts: ``shape`` for ``box``; else None."""
+    """Return the key that takes a name, such as ``shape`` for ``box``; else None."""
     for key in fields_at(model, value, mapping):
-        match = field_at(model, value, (*mapping, key))
-        forms = _entry_examples(annotation_of(match[1])) if match else None
-        if forms is not None and name in forms.options:
+        field_match = field_at(model, value, (*mapping, key))
+        examples = (
+            _entry_examples(annotation_of(field_match[1])) if field_match else None
+        )
+        if examples is not None and option_name in examples.options:
             return key
     return None
 
 
-def _shortened_flow(key: str, entries: Sequence[Any]) -> str:
+def _shortened_list_text(key: str, entries: Sequence[Any]) -> str:
     """Return a key with its list on one line, shortened after the first entries."""
-    for count in range(len(entries), 0, -1):
-        text = flow_text(key, list(entries[:count]))
-        if len(text) <= MAX_EXAMPLE or count == 1:
-            return text if count == len(entries) else f"{text[:-1]}, …]"
+    for shown_count in range(len(entries), 0, -1):
+        text = flow_text(key, list(entries[:shown_count]))
+        if len(text) <= MAX_EXAMPLE_LENGTH or shown_count == 1:
+            return text if shown_count == len(entries) else f"{text[:-1]}, …]"
     return flow_text(key, list(entries))
 
 
@@ -159,15 +165,15 @@ def missing_key_hint(
     model: type[BaseModel], value: Any, location: Location
 ) -> str | None:
     """Return a hint that adds a missing key with its example; None if that is long."""
-    match = field_at(model, value, location)
-    example = None if match is None else (match[1].examples or [None])[0]
+    field_match = field_at(model, value, location)
+    example = None if field_match is None else (field_match[1].examples or [None])[0]
     return None if example is None else _example_text(location[-1], example)
 
 
 def _example_text(key: str | int, example: Any) -> str | None:
     """Return a hint with an example of a key; None if that is long."""
     text = flow_text(str(key), example)
-    return f"for example {text}" if len(text) <= MAX_EXAMPLE else None
+    return f"for example {text}" if len(text) <= MAX_EXAMPLE_LENGTH else None
 
 
 def vector_components(value: Any) -> list[Any] | None:
@@ -184,15 +190,15 @@ def vector_components(value: Any) -> list[Any] | None:
 
 def example_hint(model: type[BaseModel], value: Any, location: Location) -> str | None:
     """Return a hint with the example of a key that has a scalar value."""
-    match = field_at(model, value, location)
-    if match is None or match[0] != len(location):
+    field_match = field_at(model, value, location)
+    if field_match is None or field_match[0] != len(location):
         return None
-    example = (match[1].examples or [None])[0]
+    example = (field_match[1].examples or [None])[0]
     parent = value_at(value, location[:-1])
     entry = parent.get(location[-1]) if isinstance(parent, dict) else None
-    unit = _NUMBER_UNIT.fullmatch(example) if isinstance(example, str) else None
-    if unit is not None and type(entry) in (int, float):
-        return f"add a unit, such as {entry}{unit[1]}"
+    unit_match = _NUMBER_UNIT.fullmatch(example) if isinstance(example, str) else None
+    if unit_match is not None and type(entry) in (int, float):
+        return f"add a unit, such as {entry}{unit_match[1]}"
     if example is None or isinstance(example, bool | list | tuple | dict):
         return None
     hint = _example_text(location[-1], example)
@@ -240,7 +246,7 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
     if not isinstance(example, list | tuple) or not example:
         return None
     if isinstance(value, str):
-        return _list_of_text(value.strip(), example)
+        return _parse_list(value.strip(), example)
     if isinstance(value, dict):
         bounds = [value.get(key) for key in _RANGE_END_NAMES if key in value]
         is_range = len(bounds) == _RANGE_LENGTH
@@ -290,21 +296,21 @@ def _are_numbers(values: Sequence[Any]) -> bool:
     return all(isinstance(value, int | float) for value in values)
 
 
-def _list_of_text(text: str, example: Sequence[Any]) -> list[Any] | None:
+def _parse_list(text: str, example: Sequence[Any]) -> list[Any] | None:
     """Return the list meant by a text of numbers or a single name; None if unclear."""
     if all(isinstance(entry, str) for entry in example):
         return [text]
     pair_match = _NUMBER_PAIR.fullmatch(text)
-    parts: Sequence[str] = re.split(r"[\s,;]+", text.strip("()[] "))
+    number_texts: Sequence[str] = re.split(r"[\s,;]+", text.strip("()[] "))
     if pair_match is not None:
-        parts = pair_match.groups()
-    numbers = [plain_scalar(part) for part in parts if part]
+        number_texts = pair_match.groups()
+    numbers = [plain_scalar(part) for part in number_texts if part]
     are_numbers = all(isinstance(entry, int | float) for entry in numbers)
     return numbers if are_numbers and len(numbers) == len(example) else None
 
 
 def _example_contains(example: Any, value: Any) -> bool:
-    """Return whether an example contains the value."""
+    """Return whether a value occurs anywhere in an example."""
     if isinstance(example, dict):
         return any(_example_contains(i, value) for i in (*example, *example.values()))
     if isinstance(example, list | tuple):
@@ -313,7 +319,7 @@ def _example_contains(example: Any, value: Any) -> bool:
 
 
 def _entry_examples(annotation: Any) -> EntryExamples | None:
-    """Return the `EntryExamples` of a type or of a union's member."""
+    """Return the `EntryExamples` that annotate a type or a member of a union."""
     for constraint in getattr(annotation, "__metadata__", ()):
         if isinstance(constraint, EntryExamples):
             return constraint

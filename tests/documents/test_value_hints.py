@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from pydantic import BaseModel, Field
 
-from animtool.documents.forms import example_hint, syntax_hint
+from animtool.documents.value_hints import example_hint, syntax_hint
 
 
 class Shown(BaseModel):
