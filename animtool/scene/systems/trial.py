@@ -38,7 +38,11 @@ from animtool.sim.trials.trial import (
     step_settings,
 )
 from animtool.systems.framework.run import SimulationRun
-from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
+from animtool.systems.framework.simulation import (
+    HasTrialSettings,
+    StoppedError,
+    TrialSettings,
+)
 from animtool.systems.framework.spec import SystemSpec
 
 # Step of the exact method over the file's step, if the file's step is too long.
@@ -92,9 +96,9 @@ def _trial(
     """
     max_points = 0  # maximum number of points in any run so far
     spec = members[0].setup.spec
-    if spec.tried:
+    if spec.has_trial_settings:
         simulation = run_entries(members, rebuild()).simulation
-        assert isinstance(simulation, Tried)
+        assert isinstance(simulation, HasTrialSettings)
         trial_settings = simulation.trial_settings()
     else:
         trial_settings = _trial_settings(spec, members[0].setup.method)
@@ -102,7 +106,7 @@ def _trial(
     def run(setting: Setting) -> TrialOutcome:
         nonlocal max_points
         method, budget = setting.method, None
-        if not spec.tried:
+        if not spec.has_trial_settings:
             is_other = method != trial_settings.chosen.method
             budget = _evaluation_limit(method, max_points, is_other_method=is_other)
         changes = trial_settings.changes(setting)
@@ -119,8 +123,8 @@ def _trial(
         trial_settings.settings,
         trial_settings.references,
         run,
-        changes=trial_settings.changes,
-        lines=lambda setting: [
+        changed_keys=trial_settings.changes,
+        request_lines=lambda setting: [
             _scene_text(members[0], trial_settings.changes(setting))
         ],
     )
@@ -162,11 +166,11 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
         If the exact method is unstable, use the file's method or far shorter steps.
         """
-        exact_method = spec.exact or spec_method
+        exact_method = spec.reference_method or spec_method
         step_ratios = [(exact_method, 1.0)]
         if spec_method != exact_method and _is_fixed(spec_method):
             step_ratios.append((spec_method, 1.0))
-        if spec.exact:
+        if spec.reference_method:
             step_ratios.append((exact_method, FINE_STEP_RATIO))
         return [
             step_settings(method, ratio * spec.step, REFERENCE_FACTORS)

@@ -69,9 +69,9 @@ def _doubling_growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
     """Return the stability polynomial of two corrected half steps; may be empty."""
     if not base:
         return ()
-    half = [c / 2**i for i, c in enumerate(base)]
-    squared = poly.polymul(half, half)
-    growth = poly.polyadd(squared * (1 + gain), poly.polymul(base, [-gain]))
+    half_step_polynomial = [c / 2**i for i, c in enumerate(base)]
+    squared_polynomial = poly.polymul(half_step_polynomial, half_step_polynomial)
+    growth = poly.polyadd(squared_polynomial * (1 + gain), poly.polymul(base, [-gain]))
     return tuple(growth.tolist())
 
 

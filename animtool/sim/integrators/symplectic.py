@@ -53,8 +53,12 @@ def velocity_verlet(
     velocity, which the kick changes.
     """
     x, v = y
-    cached = memory if isinstance(memory, np.ndarray) else None
-    first_acceleration = equations.acceleration(t, x, v) if cached is None else cached
+    cached_acceleration = memory if isinstance(memory, np.ndarray) else None
+    first_acceleration = (
+        equations.acceleration(t, x, v)
+        if cached_acceleration is None
+        else cached_acceleration
+    )
     v_half = v + (0.5 * h) * first_acceleration
     x_end = x + h * v_half
     second_acceleration = equations.acceleration(t + h, x_end, v_half)

@@ -138,11 +138,11 @@ class Trial:
     cost: CostMeasure = CostMeasure.SECONDS
     unit: str = "steps"  # unit of the counted work
     # Name and time of a point of a snapshot; None without names.
-    where: Callable[[int, int], str] | None = None
+    point_label: Callable[[int, int], str] | None = None
     # Keys of the file entry that request a setting; None without an entry.
-    changes: Callable[[Setting], Mapping[str, Any]] | None = None
+    changed_keys: Callable[[Setting], Mapping[str, Any]] | None = None
     # How to request a setting: scene file lines, or command options.
-    lines: Callable[[Setting], list[str]] | None = None
+    request_lines: Callable[[Setting], list[str]] | None = None
     # Writes a setting's result as USD for viewing; None if unavailable.
     write: Callable[[Setting, Path], None] | None = None
     size: float = 0.0  # size of the written figure [m]; 0 is unknown
@@ -194,7 +194,7 @@ class PointDistances:
         distance = self.largest if measure is ErrorMeasure.LARGEST else self.rms
         return distance + (0.0 if self.angle is None else self.angle * reach)
 
-    def scaled(self, factor: float) -> PointDistances:
+    def scaled_by(self, factor: float) -> PointDistances:
         """Return the distances multiplied by a factor."""
         return PointDistances(
             self.largest * factor,

@@ -60,7 +60,7 @@ class AttachState:
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Particles that pierced the cloth ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(
-        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
+        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing_field()
     )
 
 

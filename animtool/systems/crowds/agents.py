@@ -70,7 +70,7 @@ class Agents(Groups):
     @cached_property
     def heights(self) -> FloatArray:
         """Body height of each agent ``(N,)`` [m]."""
-        return self.per_individual([entry.height for entry in self.entries])
+        return self.repeat_per_individual([entry.height for entry in self.entries])
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +126,7 @@ def _separate_at_start(
         overlap = overlap if (starts == previous).all() else np.inf
     distances = np.linalg.norm(starts - agents.starts, axis=1)
     is_moved = distances > OVERLAP_TOLERANCE * agents.radii
-    is_moved &= np.array(has_points, bool)[agents.kinds]
+    is_moved &= np.array(has_points, bool)[agents.entry_indices]
     faults = []
     if is_moved.any():
         message = f"{counted(int(is_moved.sum()), 'agent')} would start inside each "

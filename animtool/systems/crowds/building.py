@@ -238,7 +238,7 @@ def unreachable_goal_warnings(
         goal_component = components[grid.nearest_free_node(position)[0]]
         for population_index, population in enumerate(spec.populations):
             is_cut_off = start_components != goal_component
-            is_cut_off &= agents.kinds == population_index
+            is_cut_off &= agents.entry_indices == population_index
             if goal.name in population.route and is_cut_off.any():
                 message = f"no path leads {counted(int(is_cut_off.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "

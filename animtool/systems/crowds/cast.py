@@ -61,7 +61,7 @@ class AgentCast:
         """Return the bodies of agents, from the gaits of their populations."""
         distinct_sources = list(dict.fromkeys(sources))
         source_indices = [distinct_sources.index(source) for source in sources]
-        sources_of_agents = np.array(source_indices)[agents.kinds]
+        sources_of_agents = np.array(source_indices)[agents.entry_indices]
         groups = []
         for k, source in enumerate(distinct_sources):
             agent_indices = np.flatnonzero(sources_of_agents == k)

@@ -101,7 +101,7 @@ class Crowd:
     @cached_property
     def _relaxation_times(self) -> FloatArray:
         """Relaxation time of each agent to its preferred velocity ``(N,)`` [s]."""
-        return self.agents.per_individual(
+        return self.agents.repeat_per_individual(
             [population.acceleration for population in self.agents.entries]
         )
 
@@ -241,7 +241,7 @@ class Crowd:
         frame = self.ground_frame
         points = frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
         velocities = frame.vector_to_world(np.column_stack([v[:, 0], rise, v[:, 1]]))
-        kinds = agents.kinds[ids]
+        kinds = agents.entry_indices[ids]
         primvars = {"population": kinds} if len(agents.entries) > 1 else {}
         if self.cast is not None and state.bodies is not None:
             placement = frame, velocities

@@ -18,7 +18,7 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.systems.crowds.ground import GroundFrame, Terrain
-from animtool.systems.framework.simulation import growing
+from animtool.systems.framework.simulation import growing_field
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
@@ -46,15 +46,15 @@ GRAVITY = 9.81  # [m/s²]
 class Falls(Rows):
     """Agents that have fallen, in the order of their falls."""
 
-    agents: IntArray = field(metadata=growing())  # indices of the agents (K,)
+    agents: IntArray = field(metadata=growing_field())  # indices of the agents (K,)
     # World positions of joints when the fall began (K, J, 3) [m].
-    positions: FloatArray = field(metadata=growing())
+    positions: FloatArray = field(metadata=growing_field())
     # World rotations of joints when the fall began (K, J, 4).
-    turns: FloatArray = field(metadata=growing())
+    turns: FloatArray = field(metadata=growing_field())
     # States of the B bodies of each agent, as in `RigidState` (K, B, 14).
-    motion: FloatArray = field(metadata=growing())
+    motion: FloatArray = field(metadata=growing_field())
     # Time for which each agent has moved slowly (K,) [s].
-    slow: FloatArray = field(metadata=growing())
+    slow: FloatArray = field(metadata=growing_field())
 
 
 _LocalPose = tuple[FloatArray, FloatArray]

@@ -93,7 +93,7 @@ class Obstacles:
 
     def _collider_gaps(self, t: float, dt: float, x: FloatArray) -> list[Gaps]:
         """Return the gaps of all colliders."""
-        if not self.colliders.rigid:
+        if not self.colliders.rigid_colliders:
             return []
         radii, body_heights = self.agents.radii, self.agents.heights
         base_heights, _ = ground_at(self.ground, x)

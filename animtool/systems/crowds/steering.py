@@ -65,7 +65,7 @@ class Steering:
         table = np.full((len(populations), counts.max(initial=0) + 1), -1)
         for i, population in enumerate(populations):
             table[i, : counts[i]] = [names.index(name) for name in population.route]
-        kinds = self.agents.kinds
+        kinds = self.agents.entry_indices
         actions = np.array([population.then for population in populations])[kinds]
         return table[kinds], counts[kinds], actions == "repeat", actions == "leave"
 

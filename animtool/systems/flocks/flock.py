@@ -59,7 +59,7 @@ def initial_headings(members: Members, v: FloatArray) -> MemberHeadings:
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
         uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
-        for species, rows in zip(members.entries, members.rows_by_entry, strict=True)
+        for species, rows in zip(members.entries, members.ranges_by_entry, strict=True)
     ]
     return MemberHeadings(
         _look_rotations(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
@@ -78,7 +78,9 @@ def advance_headings(
     Members bank like aircraft: their up vector follows the lift. It is perpendicular to
     the velocity, and balances gravity and the centripetal acceleration.
     """
-    banking = members.per_individual([entry.banking for entry in members.entries])
+    banking = members.repeat_per_individual(
+        [entry.banking for entry in members.entries]
+    )
     accelerations = banking[:, None] * (end_velocities - start_velocities) / dt
     lift = accelerations + GRAVITY * _UP
     up = so3.rotate(headings.rotations, _UP)
@@ -94,7 +96,7 @@ def advance_headings(
     rotations = so3.align_signs(look_rotations[None], headings.rotations)[0]
     step_rotation = so3.multiply(rotations, so3.conjugate(headings.rotations))
     spins = so3.log(step_rotation) / dt
-    cycles_per_metre = members.per_individual(
+    cycles_per_metre = members.repeat_per_individual(
         [entry.beat / entry.speed.cruise for entry in members.entries]
     )
     speeds = (np.linalg.norm(start_velocities, axis=1) + end_speeds) / 2
@@ -131,7 +133,7 @@ def mesh_indices(
     ``mesh_ranges`` has the first mesh and the number of meshes of each species
     ``(S, 2)``.
     """
-    first_meshes, counts = mesh_ranges[members.kinds].T
+    first_meshes, counts = mesh_ranges[members.entry_indices].T
     frame_indices = np.floor((phases % 1.0) * counts).astype(np.int64)
     return np.asarray(first_meshes + frame_indices % counts)
 
@@ -167,7 +169,7 @@ class FlockForces(SecondOrder):
         members = self.members
         accelerations = rule_accelerations(self.rules, self.domain, x, v)
         accelerations += goal_accelerations(members, t, x, v)
-        if self.colliders.rigid:
+        if self.colliders.rigid_colliders:
             accelerations += avoidance_accelerations(members, self.colliders, t, x, v)
         accelerations = limit_steering(members, v, accelerations)
         if self.forces:
@@ -319,7 +321,7 @@ class Flock:
         points, velocities = state.motion
         ids = np.arange(len(members))
         has_many_species = len(members.entries) > 1
-        primvars = {"species": members.kinds} if has_many_species else {}
+        primvars = {"species": members.entry_indices} if has_many_species else {}
         if heading is None:
             return PointsFrame(ids, points, velocities, members.radii, primvars)
         return TransformsFrame(

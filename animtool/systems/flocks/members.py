@@ -67,7 +67,7 @@ class Members(Groups):
     @cached_property
     def particles(self) -> ParticleState:
         """Members as particles, for force fields."""
-        masses = self.per_individual([entry.mass for entry in self.entries])
+        masses = self.repeat_per_individual([entry.mass for entry in self.entries])
         ids = np.arange(len(self))
         return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
 
@@ -91,8 +91,8 @@ class Members(Groups):
         moved with a warning (SIM124).
         """
         points, is_moved = self.points, np.zeros(len(self), bool)
-        for _ in range(MAX_CLEARING_PASSES if colliders.rigid else 0):
-            volumes = colliders.volumes.sample(points, self.begin)
+        for _ in range(MAX_CLEARING_PASSES if colliders.rigid_colliders else 0):
+            volumes = colliders.as_solids.sample(points, self.begin)
             depths = self.radii - volumes.distances
             deepest = np.argmax(depths, axis=0)
             members = np.arange(len(self))
@@ -105,7 +105,7 @@ class Members(Groups):
             distances = (max_depths + CLEARANCE * self.radii) * is_inside
             points = points + normals * distances[:, None]
         else:
-            if colliders.rigid:
+            if colliders.rigid_colliders:
                 name = self.label(int(np.argmax(is_inside)))
                 message = f"{name} starts inside colliders, with no way out"
                 hint = "start elsewhere, or leave room between them"
@@ -163,7 +163,7 @@ class Members(Groups):
         points_data = [data.get("points") for data in self.species_data]
         has_points = np.array([array is not None for array in points_data])
         is_moved = displacements > MIN_REPORTED_MOVE * self.radii
-        is_moved &= has_points[self.kinds]
+        is_moved &= has_points[self.entry_indices]
         faults = []
         if is_moved.any():
             message = f"{counted(int(is_moved.sum()), 'member')} would start closer "

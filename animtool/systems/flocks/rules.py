@@ -96,7 +96,7 @@ def _member_indices(members: Members, species: Sequence[int]) -> Indices | None:
     if len(species) == len(members.entries):
         return None
     index_ranges = [
-        np.arange(len(members))[members.rows_by_entry[number]] for number in species
+        np.arange(len(members))[members.ranges_by_entry[number]] for number in species
     ]
     return np.concatenate(index_ranges).astype(np.int32)
 

@@ -46,7 +46,7 @@ class Spacing:
     @staticmethod
     def of(members: Members, domain: DomainModel | None) -> Spacing | None:
         """Return the spacing of members; None without minimum distances."""
-        distances = members.per_individual(
+        distances = members.repeat_per_individual(
             [min_distance(entry) for entry in members.entries]
         )
         has_distances = len(distances) > 1 and distances.max() > 0

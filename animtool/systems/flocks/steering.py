@@ -21,7 +21,7 @@ def goal_accelerations(
     """Return accelerations towards goals, paths and cruise speeds ``(N, 3)`` [m/s²]."""
     accelerations = np.zeros_like(x)
     for species, data, species_rows in zip(
-        members.entries, members.species_data, members.rows_by_entry, strict=True
+        members.entries, members.species_data, members.ranges_by_entry, strict=True
     ):
         positions, speed = x[species_rows], species.speed
         if speed.weight:
@@ -89,10 +89,10 @@ def avoidance_accelerations(
     relative speed over twice the distance.
     """
     accelerations = np.zeros_like(x)
-    ranges = members.per_individual(
+    ranges = members.repeat_per_individual(
         [entry.avoidance.distance for entry in members.entries]
     )
-    weights = members.per_individual(
+    weights = members.repeat_per_individual(
         [entry.avoidance.weight for entry in members.entries]
     )
     samples = colliders.sample(x, t, t + VELOCITY_INTERVAL)
@@ -119,7 +119,7 @@ def limit_steering(
 ) -> FloatArray:
     """Return accelerations within the limits of each species ``(N, 3)`` [m/s²]."""
     limited = requested
-    for species, rows in zip(members.entries, members.rows_by_entry, strict=True):
+    for species, rows in zip(members.entries, members.ranges_by_entry, strict=True):
         if species.turning is not None:
             max_rate = float(np.radians(species.turning))
             limited = _limit_turning(limited, v, rows, max_rate)
@@ -157,7 +157,9 @@ def limit_displacements(
     members: Members, before: FloatArray, after: FloatArray, h: float
 ) -> FloatArray:
     """Return new positions ``(N, 3)`` [m], limited to the reach in a time ``h`` [s]."""
-    max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
+    max_speeds = members.repeat_per_individual(
+        [max_speed(entry) for entry in members.entries]
+    )
     offsets = after - before
     lengths, limits = np.linalg.norm(offsets, axis=1), max_speeds * abs(h)
     is_beyond = lengths > limits * (1 + ROUNDING)
@@ -169,10 +171,12 @@ def limit_displacements(
 
 def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
     """Return velocities clamped to the speeds of each species ``(N, 3)`` [m/s]."""
-    min_speeds = members.per_individual(
+    min_speeds = members.repeat_per_individual(
         [entry.speed.least for entry in members.entries]
     )
-    max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
+    max_speeds = members.repeat_per_individual(
+        [max_speed(entry) for entry in members.entries]
+    )
     speeds = np.linalg.norm(v, axis=1)
     is_too_slow = (speeds < min_speeds) & (speeds > _TINY_LENGTH)
     is_outside = (speeds > max_speeds) | is_too_slow

@@ -91,8 +91,8 @@ def _fill_motion(
         _check_outside(state[0], colliders, t, name)
         return state
     points = _lattice_points(spec, data["shape"], data["poses"], t)
-    if colliders.rigid and len(points):
-        gaps = colliders.volumes.sample(points, t).distances
+    if colliders.rigid_colliders and len(points):
+        gaps = colliders.as_solids.sample(points, t).distances
         is_free = gaps.min(axis=0) >= (1 - ROUNDING) * spec.spacing / 2
         if (gaps < 0).all(axis=1).any():
             _refuse_enclosed(name, gaps, colliders)
@@ -108,7 +108,7 @@ def _fill_motion(
 def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
     """Raise SIM064 for a fill inside a solid collider or outside a container."""
     c = int(np.argmax((gaps < 0).all(axis=1)))
-    collider, collider_name = colliders.rigid[c], colliders.label(c)
+    collider, collider_name = colliders.rigid_colliders[c], colliders.label(c)
     if collider.container:
         message = f"{name} is outside the container {collider_name}"
         refuse("SIM064", message, "fills", "move it inside")
@@ -145,14 +145,14 @@ def _check_outside(
     points: FloatArray, colliders: Colliders, t: float, name: str
 ) -> None:
     """Raise SIM064 if points start inside colliders, or outside a container."""
-    if not colliders.rigid or not len(points):
+    if not colliders.rigid_colliders or not len(points):
         return
-    gaps = colliders.volumes.sample(points, t).distances
+    gaps = colliders.as_solids.sample(points, t).distances
     is_inside = gaps < 0
     if not is_inside.any():
         return
     collider_index, particle = (int(k) for k in np.argwhere(is_inside)[0])
-    is_container = colliders.rigid[collider_index].container
+    is_container = colliders.rigid_colliders[collider_index].container
     relation = "outside the container" if is_container else "inside"
     depth = -gaps[collider_index, particle]
     message = f"particle {particle} of {name} starts {depth:g} m {relation} "
@@ -207,7 +207,9 @@ def _lattice_points(spec: FluidModel, shape: Any, poses: Poses, t: float) -> Flo
         for n, a, b in zip(counts, low, high, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    is_inside = Colliders([Collider(shape).volume()]).sample(grid, 0.0).distances[0] < 0
+    is_inside = (
+        Colliders([Collider(shape).as_solid()]).sample(grid, 0.0).distances[0] < 0
+    )
     pose = poses.at(t)
     return so3.rotate(pose[3:], grid[is_inside]) + pose[:3]
 
@@ -312,7 +314,7 @@ def is_clear(
     if len(neighbours):
         gaps, _ = cKDTree(neighbours).query(points)
         is_free = gaps >= MIN_INFLOW_DISTANCE * spacing
-    if colliders.rigid:
-        gaps = colliders.volumes.sample(points, t).distances
+    if colliders.rigid_colliders:
+        gaps = colliders.as_solids.sample(points, t).distances
         is_free = is_free & (gaps >= 0).all(axis=0)
     return is_free

@@ -34,9 +34,9 @@ from animtool.systems.framework.colours import Colouring, Quantities
 from animtool.systems.framework.simulation import (
     Diagnostics,
     SimContext,
-    Stepped,
+    SteppedState,
     StoppedError,
-    growing,
+    growing_field,
 )
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
@@ -58,12 +58,12 @@ REMEDY_HINT = "use weaker forces, a larger spacing, or slower colliders"
 class FluidState:
     """State of N fluid particles at the end of a step."""
 
-    ids: IntArray = field(metadata=growing())  # particle ids, ascending (N,)
+    ids: IntArray = field(metadata=growing_field())  # particle ids, ascending (N,)
     # Positions [m], then velocities [m/s] (2, N, 3).
-    motion: FloatArray = field(metadata=growing(1))
-    births: FloatArray = field(metadata=growing())  # birth times (N,) [s]
+    motion: FloatArray = field(metadata=growing_field(1))
+    births: FloatArray = field(metadata=growing_field())  # birth times (N,) [s]
     # Mean pressures over a step (N,) [Pa].
-    pressures: FloatArray = field(metadata=growing())
+    pressures: FloatArray = field(metadata=growing_field())
     made: int = 0  # number of particles born so far
     held: int = 0  # number of particles not emitted so far, for lack of room
     sound: float = 0.0  # speed of sound [m/s]
@@ -94,7 +94,7 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
         data.get("forces", ()),
         initial_motion,
         nozzles,
-        [Colliders([drain.volume()]) for drain in data.get("drains", ())],
+        [Colliders([drain.as_solid()]) for drain in data.get("drains", ())],
         notices,
     )
 
@@ -145,7 +145,7 @@ class Fluid:
         del t
         return "" if state.sound >= 0 else "the speed of sound is below 0"
 
-    def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
+    def step(self, state: FluidState, t: float, dt: float) -> SteppedState[FluidState]:
         """Return the state after a step [s], and impulses on bodies."""
         end, notices = t + dt, list[Fault]()
         accelerations = self._accelerations(state, t)
@@ -158,7 +158,7 @@ class Fluid:
             state, wrenches = self._solve_pressure(state, t, dt, accelerations, notices)
         state = self._remove_drained(state, end)
         state = self._add_inflow(state, t, end, accelerations, notices)
-        return Stepped(state, wrenches, notices)
+        return SteppedState(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
         """Return the fluid as particles, for force fields."""
@@ -201,7 +201,7 @@ class Fluid:
 
         Without a list of notices, this is a trial that does not suggest a shorter step.
         """
-        speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
+        speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.max_speed
         max_acceleration = float(np.linalg.norm(accelerations, axis=1).max())
         max_speed = float(speeds.max()) + max_acceleration * dt
         sound_speed = self._substeps.step_sound_speed(
@@ -277,7 +277,7 @@ class Fluid:
             solid_colliders = self._solid_colliders(t0)
             motion, step_pressures, body_impulses, step_compression = (
                 _kernels.fluid_steps(
-                    solid_colliders.arrays(t0, t1),
+                    solid_colliders.kernel_arrays(t0, t1),
                     body_owners(colliders.bodies, len(solid_colliders)),
                     pushable_table(colliders.bodies, t0, t1),
                     motion,
@@ -446,7 +446,7 @@ class Fluid:
         return {
             "age": lambda: t - state.births,
             "density": lambda: _kernels.fluid_densities(
-                self._solid_colliders(t).arrays(t, t), points, self._spec.spacing
+                self._solid_colliders(t).kernel_arrays(t, t), points, self._spec.spacing
             ),
             "pressure": lambda: state.pressures,
             "speed": lambda: np.linalg.norm(state.motion[1], axis=1),

@@ -111,6 +111,6 @@ class Substeps:
         """Return the number of collisions with sheets in a step."""
         if not colliders.sheets:
             return 1
-        travel = dt * max(colliders.surfaces.fastest, 1.0)
+        travel = dt * max(colliders.surfaces.max_speed, 1.0)
         count = math.ceil(travel / (SHEET_TRAVEL * self._spec.spacing))
         return max(1, min(count, substeps, MAX_SHEET_COLLISIONS))

@@ -34,7 +34,7 @@ NamedOptions = Annotated[
 
 
 class FieldKind(StrEnum):
-    """How the entry of a field is read for the build context.
+    """Kind of data that the entry of a field is read into, for `SimContext.parts`.
 
     A field has its kind in the annotation of its type.
     """

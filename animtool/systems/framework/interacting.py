@@ -75,7 +75,7 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
         check: Callable[[float, FloatArray, InteractionSums], None] = lambda *_: None,
     ) -> None:
         self._bodies, self._motion, self._check = bodies, motion, check
-        self._cached = motion[0], initial_sums
+        self._cached_sums = motion[0], initial_sums
 
     @property
     def state(self) -> FloatArray:
@@ -84,10 +84,10 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
 
     def sums_at(self, x: FloatArray) -> InteractionSums:
         """Return the interaction sums at positions ``(N, 3)``, cached."""
-        cached_positions, sums = self._cached
+        cached_positions, sums = self._cached_sums
         if x is not cached_positions and not np.array_equal(x, cached_positions):
             sums = self._bodies.compute_sums(np.ascontiguousarray(x), sums)
-        self._cached = x, sums
+        self._cached_sums = x, sums
         return sums
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -261,8 +261,8 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     def _check_energy(self, state: State, t: float) -> None:
         """Raise SIM102 if energy is not conserved."""
         initial, energy = self._initial_energy, self._energy(state, t)
-        exchanged = self._exchanged_energy(state, energy)
-        scale = max(initial.kinetic, abs(initial.potential), exchanged)
+        exchanged_energy = self._exchanged_energy(state, energy)
+        scale = max(initial.kinetic, abs(initial.potential), exchanged_energy)
         has_supply = self._is_driven or not scale
         gain = abs(self._energy_gain(state, energy))
         if not has_supply and not gain <= MAX_ENERGY_GROWTH * scale:

@@ -18,11 +18,11 @@ from animtool.systems.framework.fields import PlacementModel
 def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
     """Return a quaternion w, x, y, z as a unit x, y, z, w."""
     w, *xyz = wxyz
-    size = float(np.linalg.norm(wxyz))
-    if not size > 0:
+    norm = float(np.linalg.norm(wxyz))
+    if not norm > 0:
         message = "rotate is a zero quaternion, which has no rotation"
         refuse("SIM020", message, "rotate")
-    return np.array([*xyz, w], np.float64) / size
+    return np.array([*xyz, w], np.float64) / norm
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,7 +35,7 @@ class UnitFrame:
     time_scale: float = 1.0  # local time units per second
 
     @staticmethod
-    def of(
+    def from_placement(
         pose: PlacementModel, scale: float = 1.0, time_scale: float = 1.0
     ) -> UnitFrame:
         """Return the frame of a placement."""
@@ -53,8 +53,8 @@ class UnitFrame:
 
     def velocities_to_local(self, v: FloatArray) -> FloatArray:
         """Transform scene velocities ``(…, 3)`` [m/s] to the frame."""
-        rotated = so3.rotate(so3.conjugate(self.rotation), v)
-        return np.asarray(rotated / (self.scale * self.time_scale))
+        rotated_velocities = so3.rotate(so3.conjugate(self.rotation), v)
+        return np.asarray(rotated_velocities / (self.scale * self.time_scale))
 
     def velocities_to_scene(self, v: FloatArray) -> FloatArray:
         """Transform velocities ``(…, 3)`` of the frame to the scene [m/s]."""
@@ -74,7 +74,7 @@ class PointMasses(Rows):
         parts: Mapping[str, Any], mass: float, noun: str, code: str, where: str
     ) -> PointMasses:
         """Return bodies from arrays of files, by default at rest and of equal mass."""
-        check_rows(parts, noun, code, where)
+        check_body_arrays(parts, noun, code, where)
         points, velocities = parts["points"], parts.get("velocities")
         velocities = np.zeros(points.shape) if velocities is None else velocities
         masses = parts.get("masses")
@@ -118,15 +118,15 @@ def check_distinct(
     must not coincide.
     """
     order = np.lexsort(points.T)
-    coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    if coincident.any():
-        i = int(np.argmax(coincident))
+    is_coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
+    if is_coincident.any():
+        i = int(np.argmax(is_coincident))
         names = pair_names(*sorted(order[[i, i + 1]].tolist()))
         message = f"{names} start at the same position{': ' if reason else ''}{reason}"
         refuse(code, message, where, hint)
 
 
-def check_rows(
+def check_body_arrays(
     arrays: Mapping[str, FloatArray | None], noun: str, code: str, where: str
 ) -> None:
     """Raise if arrays of bodies have wrong shapes or numbers that are not finite.
@@ -142,10 +142,10 @@ def check_rows(
         shape = (count,) if name == "masses" else (count, 3)
         message = f"{name} have shape {array.shape}, not {shape}"
         if array.shape == shape:
-            columns = 3 if array.ndim > 1 else 1
-            finite = np.isfinite(array.reshape(count, columns)).all(axis=1)
-            if finite.all():
+            column_count = 3 if array.ndim > 1 else 1
+            is_finite = np.isfinite(array.reshape(count, column_count)).all(axis=1)
+            if is_finite.all():
                 continue
-            message = f"{name} of {noun} {int(np.argmin(finite))} are not finite"
+            message = f"{name} of {noun} {int(np.argmin(is_finite))} are not finite"
         problems.append((message, where, None))
     refuse_all(code, problems)

@@ -19,7 +19,7 @@ from animtool.systems.framework.simulation import (
     ManySteps,
     Simulation,
     State,
-    Stepped,
+    SteppedState,
     SystemView,
 )
 from animtool.systems.framework.surfaces import (
@@ -181,11 +181,13 @@ class SimulationRun(EntryRun):
         start = self.state
         if steps < start.steps:
             # Systems coupled to it may have advanced it beyond the frame.
-            earlier = [past for past in self._past_states or () if past.steps <= steps]
-            if not earlier:
+            earlier_states = [
+                past for past in self._past_states or () if past.steps <= steps
+            ]
+            if not earlier_states:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
-            start = earlier[-1]
+            start = earlier_states[-1]
         time = self.step_time(steps)
         state = self._partial_step(start, t)
         if state is start and self._pullers:
@@ -275,15 +277,19 @@ class SimulationRun(EntryRun):
         time = self.step_time(steps)
         for pusher in self._pushers:
             pusher.advance(time)
-        limit = time + STEP_TOLERANCE * self.step_length
-        due_pushes = [push for push in self._queued_pushes if push[0] <= limit]
+        latest_time = time + STEP_TOLERANCE * self.step_length
+        due_pushes = [push for push in self._queued_pushes if push[0] <= latest_time]
         due_pushes.sort(key=lambda push: push[:2])
-        self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
+        self._queued_pushes = [
+            push for push in self._queued_pushes if push[0] > latest_time
+        ]
         self._pushed_states[steps] = self.state
         if due_pushes:
             wrenches = [push[2].delayed_by(time - push[0]) for push in due_pushes]
-            pushed = self.simulation.pushed(self.state.state, Wrenches.sum(wrenches))
-            self._pushed_states[steps] = ReachedState(steps, pushed)
+            pushed_state = self.simulation.pushed(
+                self.state.state, Wrenches.sum(wrenches)
+            )
+            self._pushed_states[steps] = ReachedState(steps, pushed_state)
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
@@ -311,7 +317,9 @@ class SimulationRun(EntryRun):
     def _record_notices(self, notices: Sequence[Fault]) -> None:
         """Record the warnings of a step that have new codes."""
         for notice in notices:
-            if notice.code not in {earlier.code for earlier in self.step_notices}:
+            if notice.code not in {
+                recorded_notice.code for recorded_notice in self.step_notices
+            }:
                 self.step_notices.append(notice)
 
     def _step_count(self, t: float) -> int:
@@ -332,12 +340,12 @@ class SimulationRun(EntryRun):
         count = self.advance(t)
         # A resumed run has no earlier states.
         states = self._past_states
-        candidates = (past for past in reversed(states) if past.steps <= count)
-        state = next(candidates, states[0])
-        time, sampled = self.step_time(state.steps), self._partial_step(state, t)
-        if with_pushes and sampled is state:
-            sampled = self._with_pushes(state)
-        return sampled.state, max(t, time)
+        reached_states = (past for past in reversed(states) if past.steps <= count)
+        state = next(reached_states, states[0])
+        time, sampled_state = self.step_time(state.steps), self._partial_step(state, t)
+        if with_pushes and sampled_state is state:
+            sampled_state = self._with_pushes(state)
+        return sampled_state.state, max(t, time)
 
     def forget(self) -> None:
         """Discard past states that no observer needs."""
@@ -346,10 +354,12 @@ class SimulationRun(EntryRun):
         if t == -math.inf:
             return
         count, states = self._step_count(t), self._past_states
-        expired_rows = [k for k, past in enumerate(states) if past.steps <= count]
-        del states[: expired_rows[-1] if expired_rows else 0]
-        first_step, pushed = states[0].steps, self._pushed_states
-        self._pushed_states = {k: pushed[k] for k in pushed if k >= first_step}
+        expired_indices = [k for k, past in enumerate(states) if past.steps <= count]
+        del states[: expired_indices[-1] if expired_indices else 0]
+        first_step, pushed_states = states[0].steps, self._pushed_states
+        self._pushed_states = {
+            k: pushed_states[k] for k in pushed_states if k >= first_step
+        }
 
     def _step_until(
         self, state: ReachedState[Any], end: float
@@ -360,7 +370,7 @@ class SimulationRun(EntryRun):
         """
         start = self.step_time(state.steps)
         result = self.simulation.step(state.state, start, end - start)
-        result = result if isinstance(result, Stepped) else Stepped(result)
+        result = result if isinstance(result, SteppedState) else SteppedState(result)
         self.steps_taken += 1
         self._record_notices(result.notices)
         if not getattr(self.simulation, "checked", False):

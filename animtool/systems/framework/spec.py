@@ -31,10 +31,11 @@ class SystemSpec(FileModel):
     Attributes:
         methods: Choices of its key ``method``, if it adds one; ``--table`` compares
             them with several steps or tolerances. None is every integrator.
-        exact: Reference integrator of a table, used with finer steps; empty is the
-            configured one.
+        reference_method: Reference integrator of a table, used with finer steps; empty
+            is the configured one.
         method_key: Key that names the method, if there is one.
-        tried: Whether its simulation provides settings for a table (`Tried`).
+        has_trial_settings: Whether its simulation provides settings for a table
+            (`HasTrialSettings`).
         components: Keys whose entries `counts` counts.
         counted_keys: Keys whose entries `reads` counts.
         code: Code of the faults from `problems`; SIM032 is conflicting options.
@@ -42,9 +43,9 @@ class SystemSpec(FileModel):
     """
 
     methods: ClassVar[Sequence[str] | None] = ()
-    exact: ClassVar[str] = ""
+    reference_method: ClassVar[str] = ""
     method_key: ClassVar[str] = "method"
-    tried: ClassVar[bool] = False
+    has_trial_settings: ClassVar[bool] = False
     components: ClassVar[Sequence[str]] = ()
     counted_keys: ClassVar[Sequence[str]] = ("forces",)
     code: ClassVar[str] = "SIM032"

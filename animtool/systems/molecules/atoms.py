@@ -33,7 +33,7 @@ class PeriodicBox:
 
     def __init__(self, spec: MoleculesModel) -> None:
         self.size = np.array(spec.box)  # (3,) [nm]
-        self._frame = UnitFrame.of(spec, spec.scale, spec.pace)
+        self._frame = UnitFrame.from_placement(spec, spec.scale, spec.pace)
         self.velocities_to_local = self._frame.velocities_to_local
         self.velocities_to_scene = self._frame.velocities_to_scene
 
@@ -51,7 +51,7 @@ class PeriodicBox:
 class Atoms(PointMasses):
     """N atoms in the box, in units of nm, ps and u."""
 
-    kinds: npt.NDArray[np.int32]  # (N,)
+    entry_indices: npt.NDArray[np.int32]  # (N,)
     charges: FloatArray  # (N,) [e]
     radii: FloatArray  # (N,) [m]
 

@@ -97,7 +97,7 @@ class Interactions:
             self._neighbour_list = reference, pairs
         order, starts, partners = self._neighbour_list[1]
         sums = _kernels.molecule_forces(
-            x, order, starts, partners, self._box.size, self._atoms.kinds,
+            x, order, starts, partners, self._box.size, self._atoms.entry_indices,
             self._pair_coefficients, self._charges, self._cutoff,
             self._switch_distance, self._damping,
         )  # fmt: skip
@@ -147,7 +147,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
     ) -> None:
         super().__init__(spec, context, "traps", spec.pace)
         self.bodies = self.atoms = atoms
-        self.radii, self.species = self.atoms.radii, self.atoms.kinds
+        self.radii, self.species = self.atoms.radii, self.atoms.entry_indices
         self.has_many_species = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
         self.written_bodies = np.arange(len(self.species))

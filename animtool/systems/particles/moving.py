@@ -8,7 +8,12 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.sim.colliders.bodies import Wrenches, exchange_impulses
-from animtool.sim.colliders.colliding import Collided, Colliders, Contacts, collide
+from animtool.sim.colliders.colliding import (
+    Colliders,
+    CollisionResult,
+    Contacts,
+    collide,
+)
 from animtool.sim.system import Energy, FirstOrder, SecondOrder
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
@@ -58,7 +63,11 @@ class ParticleForces(_ParticleSystem, SecondOrder):
         return self._exchange_momentum(t, h, after, collision)
 
     def _exchange_momentum(
-        self, t: float, h: float, without_contacts: FloatArray, collision: Collided
+        self,
+        t: float,
+        h: float,
+        without_contacts: FloatArray,
+        collision: CollisionResult,
     ) -> FloatArray:
         """Return the state after contacts exchanged momentum with bodies."""
         state = np.stack([collision.points, collision.velocities])
@@ -86,7 +95,7 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             if not has_all_potentials:
                 return None
             kinetic, potential = energies.sum(axis=1).tolist()
-            supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
+            supply = float(self.particles.masses.sum()) * self._colliders.max_speed**2
         return Energy(kinetic, potential, supply)
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
@@ -283,7 +292,7 @@ class DivergenceCheck:
             kinetic,
             abs(potential),
             potential - current_potential,
-            float(self._particles.masses.sum()) * self._colliders.fastest**2,
+            float(self._particles.masses.sum()) * self._colliders.max_speed**2,
         )
         if scale > 0 and not total - first_total <= self._setup.options.growth * scale:
             return f"its energy rose from {first_total:.3g} J to {total:.3g} J"

@@ -39,7 +39,7 @@ class KillRegion:
 
     def kills(self, points: FloatArray, t: float) -> BoolArray:
         """Return a mask ``(N,)`` of points in the region at a time [s]."""
-        distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
+        distances = Colliders([self.region.as_solid()]).sample(points, t).distances[0]
         return np.asarray(distances < 0, np.bool_)
 
 

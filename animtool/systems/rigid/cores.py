@@ -259,7 +259,7 @@ def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
     collision-aware concavity and tree search".
     """
-    if not mesh.watertight:
+    if not mesh.is_watertight:
         return []
     points, triangles = mesh.weld()
     return _decompose(points.tobytes(), triangles.tobytes())

@@ -224,7 +224,7 @@ class RigidSimulation(RigidStates):
             state.contacts if is_same_phase else state.contacts[:0],
             state.held[phase.intact_joints],
             step_forces.forces[is_free],
-            phase.surroundings.arrays(t, t + dt),
+            phase.surroundings.kernel_arrays(t, t + dt),
             phase.joints.anchor_frames(t, t + dt),
             dt,
             *self._kernel_settings,

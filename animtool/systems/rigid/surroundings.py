@@ -179,11 +179,11 @@ class StepColliders:
         # Surface points of the last step, and all colliders with those surfaces.
         self._cached: tuple[list[FloatArray], Colliders] | None = None
 
-    def arrays(self, t: float, end: float) -> tuple[Any, ...]:
+    def kernel_arrays(self, t: float, end: float) -> tuple[Any, ...]:
         """Return the colliders of a step as kernel arrays."""
         sheets = self.colliders.sheets
         if not sheets:
-            return self.colliders.arrays(t, end)
+            return self.colliders.kernel_arrays(t, end)
         positions = [point for sheet in sheets for point in _end_points(sheet, t, end)]
         cached = self._cached
         if cached is None or any(
@@ -195,7 +195,7 @@ class StepColliders:
                 [*self.colliders, *sheet_colliders], (), self.colliders.bodies
             )
             cached = self._cached = positions, step_colliders
-        return cached[1].arrays(t, end)
+        return cached[1].kernel_arrays(t, end)
 
 
 def _end_points(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:

@@ -210,7 +210,7 @@ def test_a_source_that_is_known_is_a_reference_of_its_own() -> None:
 def test_a_budget_is_kept_by_the_cheapest() -> None:
     trial = replace(
         Known(converging).trial(),
-        lines=lambda setting: [f"step: {setting['step']}"],
+        request_lines=lambda setting: [f"step: {setting['step']}"],
     )
     # Of first order .05 is .05 m off at most, of second .2 is .04 m.
     table = measure(replace(trial, error=ErrorMeasure.LARGEST), budget=0.045)
@@ -228,7 +228,7 @@ def test_a_budget_is_kept_by_the_cheapest() -> None:
 
 
 def test_what_is_present_is_asked_for_by_no_lines() -> None:
-    trial = replace(Known(converging).trial(), lines=lambda _: ["never"])
+    trial = replace(Known(converging).trial(), request_lines=lambda _: ["never"])
     trial = replace(trial, settings=lambda: [])
     table = measure(trial, budget=1.0)
     assert table.recommended is table.chosen

@@ -118,8 +118,8 @@ def test_each_shows_a_mesh_of_its_species_by_its_phase() -> None:
 def test_members_are_counted_by_their_species() -> None:
     big = species(name="big", radius=0.5, mass=3.0)
     own = members(np.arange(12.0).reshape(4, 3), species(radius=0.1, mass=2.0), big)
-    assert own.kinds.tolist() == [0, 0, 1, 1]
-    assert own.rows_by_entry == [slice(0, 2), slice(2, 4)]
+    assert own.entry_indices.tolist() == [0, 0, 1, 1]
+    assert own.ranges_by_entry == [slice(0, 2), slice(2, 4)]
     assert own.radii.tolist() == [0.1, 0.1, 0.5, 0.5]
     seen = own.particles
     assert seen.masses.tolist() == [2, 2, 3, 3]
@@ -432,4 +432,4 @@ def test_all_species_that_cannot_begin_are_told_at_once() -> None:
     assert [fault.code for fault in faults] == ["SIM060", "SIM060"]
     assert ["'a'" in faults[0].message, "'c'" in faults[1].message] == [True, True]
     good = Members.of(spec, [place] * 3, 0.0)
-    assert good.ends == [2, 4, 6]
+    assert good.end_indices == [2, 4, 6]

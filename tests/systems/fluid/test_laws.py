@@ -351,7 +351,7 @@ def test_density_is_that_of_where_particles_are() -> None:
     near = np.array([[0.0, 0, 0], [0.3, 0, 0], [9, 9, 9]])
     own = fluid(near, 5 * V, primvars=["density"])
     found = own.frame(own.initial(), 1.0).primvars["density"]
-    arrays = Colliders([]).arrays(1.0, 1.0)
+    arrays = Colliders([]).kernel_arrays(1.0, 1.0)
     assert_allclose(found, _kernels.fluid_densities(arrays, near, 0.5))
     assert found[0] == pytest.approx(found[1])
     assert 0 < found[2] < found[0]

@@ -357,7 +357,7 @@ def test_atoms_of_unequal_mass_are_as_warm_and_rest_as_a_whole() -> None:
     # Three of the degrees of freedom are those of the whole.
     assert twice.sum() / ((3 * 512 - 3) * BOLTZMANN) == pytest.approx(120)
     for kind in (0, 1):
-        own = twice[atoms.kinds == kind].mean() / (3 * BOLTZMANN)
+        own = twice[atoms.entry_indices == kind].mean() / (3 * BOLTZMANN)
         assert own == pytest.approx(120, rel=0.1)
 
 
