@@ -154,7 +154,9 @@ def _skin_values(
 ) -> FloatArray:
     """Return skinned points or normals ``(F, V, 3)``."""
     influences = skin.influences
-    skinned = output_array(out, (len(world.positions), influences.vertex_count, 3))
+    skinned_values = output_array(
+        out, (len(world.positions), influences.vertex_count, 3)
+    )
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
         transforms = _skinning_matrices(skin, offsets[:, :3], world)
@@ -168,9 +170,9 @@ def _skin_values(
             influences.weights,
             transforms,
             are_normals,
-            skinned,
+            skinned_values,
         )
-        return skinned
+        return skinned_values
     transforms = _skinning_matrices(skin, skin.joint_from_world[:, :3], world)
     rotations, stretches = _kernels.split_stretch(
         np.ascontiguousarray(transforms[..., :3])
@@ -192,9 +194,9 @@ def _skin_values(
         translations,
         _remove_rounding(stretches),
         are_normals,
-        skinned,
+        skinned_values,
     )
-    return skinned
+    return skinned_values
 
 
 def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:

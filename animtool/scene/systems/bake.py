@@ -33,7 +33,7 @@ from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterRecorder
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.usd.caches.writer import CachedMesh
-from animtool.usd.layers.chunks import growing_layer, system_clip_files
+from animtool.usd.layers.chunks import open_growing_layer, system_clip_files
 from animtool.usd.layers.jobs import LayerForm, Rounding, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import (
     StageMetadata,
@@ -155,7 +155,7 @@ class SystemFrames:
         """Write a layer, and simulate the frames that are not in chunks into it."""
         if self.files:
             return save_layer(layer, path)
-        with growing_layer(layer, path) as growing_file:
+        with open_growing_layer(layer, path) as growing_file:
             self.written = list(
                 write_simulated(self.job, self.coded_frames, growing_file)
             )

@@ -130,7 +130,7 @@ def _build_bodies(
     colliders = context.colliders
     is_fixed = all(collider.poses.is_fixed for collider in colliders)
     has_moving_colliders = bool(colliders.bodies) or not is_fixed
-    cast = AgentCast.of(agents, gaits, ground, can_fall=has_moving_colliders)
+    cast = AgentCast.from_sources(agents, gaits, ground, can_fall=has_moving_colliders)
     can_fall = all(group.cast.rig.colliders for group in cast.groups)
     if not (has_moving_colliders and can_fall and len(agents)):
         return cast, None
@@ -151,7 +151,7 @@ def clear_starts(
     agents: Agents, grid: NavGrid | None, obstacles: Obstacles, begin: float
 ) -> tuple[FloatArray, list[Fault]]:
     """Return start positions outside of obstacles, and warnings (SIM148)."""
-    positions, notices = agents.starts, list[Fault]()
+    positions, notices = agents.start_points, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.is_free.any():
         is_off_grid = is_blocked(grid, positions)
@@ -160,13 +160,15 @@ def clear_starts(
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_CLEARING_PASSES):
         walls = obstacles.walls(begin, 0.0, positions)
-        if not (walls.gaps < 0).any() and (positions == agents.starts).all():
+        if not (walls.gaps < 0).any() and (positions == agents.start_points).all():
             break
         previous = positions
-        positions, _ = separate_agents(agents, positions, walls.first_walls, walls.rows)
+        positions, _ = separate_agents(
+            agents, positions, walls.first_walls, walls.half_planes
+        )
         if np.abs(positions - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
             break
-    distances = np.linalg.norm(positions - agents.starts, axis=1)
+    distances = np.linalg.norm(positions - agents.start_points, axis=1)
     is_moved = distances > OVERLAP_TOLERANCE * agents.radii
     if is_moved.any():
         first = agents.label(int(np.argmax(is_moved)))
@@ -203,10 +205,10 @@ def _nearest_reachable(
     grid: NavGrid, position: FloatArray, components: IntArray
 ) -> FloatArray:
     """Return x and z of the node of the components nearest to a goal ``(2,)``."""
-    nodes = np.flatnonzero(np.isin(grid.components.ravel(), components))
-    if not len(nodes):
-        nodes = grid.nearest_free_node(position)
-    points = grid.node_positions(nodes)
+    node_indices = np.flatnonzero(np.isin(grid.components.ravel(), components))
+    if not len(node_indices):
+        node_indices = grid.nearest_free_node(position)
+    points = grid.node_positions(node_indices)
     return np.asarray(points[int(((points - position) ** 2).sum(axis=1).argmin())])
 
 

@@ -51,7 +51,7 @@ class AgentCast:
     order: IntArray  # agent order, rig by rig (N,)
 
     @staticmethod
-    def of(
+    def from_sources(
         agents: Agents,
         sources: Sequence[Callable[[], Gaits]],
         ground: Heights,
@@ -215,7 +215,7 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     level_bodies = replace(bodies, scales=np.ones(count), ground=Terrain())
     initial = level_bodies.initial(motion, np.zeros(count))
     poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
-    animated_joints = bodies.animated
+    animated_joints = bodies.animated_joints
     if can_fall:
         capsules = JointCapsules.from_rig(gaits.walker.rig)
         animated_joints = np.union1d(animated_joints, capsules.joints)

@@ -115,7 +115,9 @@ class Crowd:
         if self.cast is not None:
             motion = AgentMotion(x, at_rest, headings)
             bodies = self.cast.initial(motion, self.agents.clip_phases)
-        falls = None if self.fall_simulator is None else self.fall_simulator.no_falls()
+        falls = (
+            None if self.fall_simulator is None else self.fall_simulator.empty_falls()
+        )
         return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
@@ -133,14 +135,15 @@ class Crowd:
             has_fallen[state.falls.agents] = True
         modes = np.where(has_fallen, STAYING, WALKING)
         modes[state.progress.stages == GONE] = LEFT_SCENE
-        _check_finite(t, x, v, relaxed_velocities, walls.rows)
+        _check_finite(t, x, v, relaxed_velocities, walls.half_planes)
         shoulders = self._shoulder_yaws(state, has_fallen)
         points, velocities, overlap, shoulder_targets = _kernels.crowd_step(
             points=x, velocities=v, preferred=relaxed_velocities,
-            radii=agents.radii, max_speeds=agents.max_speeds, yielding=agents.yielding,
-            shoulders=shoulder_vectors(state.headings, shoulders), depth=DEPTH_RATIO,
+            radii=agents.radii, max_speeds=agents.max_speeds,
+            yielding=agents.yield_weights, depth=DEPTH_RATIO,
+            shoulders=shoulder_vectors(state.headings, shoulders),
             groups=agents.groups, modes=modes, starts=walls.first_walls,
-            walls=walls.rows, sight=avoidance.sight, nearest=avoidance.nearest,
+            walls=walls.half_planes, sight=avoidance.sight, nearest=avoidance.nearest,
             horizon=avoidance.horizon, space=avoidance.space, push=avoidance.push,
             headway=avoidance.headway, side=SIDE_PREFERENCES[avoidance.side], step=dt,
             max_passes=SEPARATION_PASSES,
@@ -150,7 +153,10 @@ class Crowd:
         headings = self._rotate_headings(state.headings, preferred, velocities, dt)
         bodies, falls = state.bodies, state.falls
         if self.cast is not None and bodies is not None:
-            before, after = _motion_of(state), AgentMotion(points, velocities, headings)
+            before, after = (
+                agent_motion(state),
+                AgentMotion(points, velocities, headings),
+            )
             speeds = self._impact_speeds(walls, dt)
             is_hit = speeds > self.spec.impact.stagger
             bodies = self.cast.advance(bodies, before, after, dt, is_hit)
@@ -170,7 +176,7 @@ class Crowd:
         )
 
     def _add_falls(
-        self, state: CrowdState, falls: Falls, new_falls: IntArray, dt: float
+        self, state: CrowdState, falls: Falls, falling_agents: IntArray, dt: float
     ) -> Falls:
         """Return the falls with agents ``(K,)`` added, which fall from a step's start.
 
@@ -179,14 +185,16 @@ class Crowd:
         assert self.cast is not None
         assert self.fall_simulator is not None
         assert state.bodies is not None
-        motion, v = _motion_of(state), state.velocities
+        motion, v = agent_motion(state), state.velocities
         next_motion = AgentMotion(motion.points + v * dt, v, motion.headings)
         no_hits = np.zeros(len(v), np.bool_)
         next_bodies = self.cast.advance(state.bodies, motion, next_motion, dt, no_hits)
-        indices = new_falls.tolist()
+        indices = falling_agents.tolist()
         poses = [self._world(state.bodies, motion, i) for i in indices]
         next_poses = [self._world(next_bodies, next_motion, i) for i in indices]
-        return self.fall_simulator.add_falls(falls, new_falls, poses, next_poses, dt)
+        return self.fall_simulator.add_falls(
+            falls, falling_agents, poses, next_poses, dt
+        )
 
     def _shoulder_yaws(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
         """Return the shoulder yaws of agents ``(N,)`` [rad].
@@ -211,10 +219,14 @@ class Crowd:
         return self.cast.world(bodies, motion, self.ground_frame, self.ground, i)
 
     def _rotate_headings(
-        self, headings: FloatArray, preferred: FloatArray, v: FloatArray, dt: float
+        self,
+        headings: FloatArray,
+        preferred_velocities: FloatArray,
+        v: FloatArray,
+        dt: float,
     ) -> FloatArray:
         """Return headings ``(N,)`` [rad], rotated towards the direction of motion."""
-        directions = v + FACING_PREFERRED * preferred
+        directions = v + FACING_PREFERRED * preferred_velocities
         slow_speeds = SLOW_YAW_SPEED * self.agents.speeds
         speed_ratio = np.linalg.norm(directions, axis=1) / slow_speeds
         yaw = wrap_angles(np.arctan2(directions[:, 0], directions[:, 1]) - headings)
@@ -241,13 +253,13 @@ class Crowd:
         frame = self.ground_frame
         points = frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
         velocities = frame.vector_to_world(np.column_stack([v[:, 0], rise, v[:, 1]]))
-        kinds = agents.entry_indices[ids]
-        primvars = {"population": kinds} if len(agents.entries) > 1 else {}
+        entry_indices = agents.entry_indices[ids]
+        primvars = {"population": entry_indices} if len(agents.entries) > 1 else {}
         if self.cast is not None and state.bodies is not None:
             placement = frame, velocities
             return self.cast.frame(
                 state.bodies,
-                _motion_of(state),
+                agent_motion(state),
                 heights,
                 placement,
                 is_visible,
@@ -266,7 +278,7 @@ class Crowd:
             ),
             np.zeros((len(ids), 3)),
             np.ones((len(ids), 3)),
-            self.mesh_of_population[kinds],
+            self.mesh_of_population[entry_indices],
             self.meshes,
             primvars,
         )
@@ -303,6 +315,6 @@ def _check_finite(t: float, *arrays: FloatArray) -> None:
         raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
 
 
-def _motion_of(state: CrowdState) -> AgentMotion:
+def agent_motion(state: CrowdState) -> AgentMotion:
     """Return positions, velocities and headings of a state."""
     return AgentMotion(state.points, state.velocities, state.headings)

@@ -25,7 +25,7 @@ def rotations_about_y(angles: FloatArray) -> FloatArray:
     return rotations
 
 
-def rotated_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
+def rotate_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
     """Return x and z ``(…, 2)`` rotated about y by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = vectors[..., 0], vectors[..., 1]
@@ -173,23 +173,23 @@ class Terrain:
         )
         order = np.argsort(cells, kind="stable")
         cell_indices = np.arange(cells_per_axis * cells_per_axis + 1)
-        starts = np.searchsorted(cells[order], cell_indices)
-        return low, cell_size, counts, faces[order], starts
+        start_indices = np.searchsorted(cells[order], cell_indices)
+        return low, cell_size, counts, faces[order], start_indices
 
     def _candidate_pairs(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return pairs of points and triangles that may overlap seen from above."""
-        low, size, counts, faces, starts = self._grid
+        low, size, counts, faces, start_indices = self._grid
         grid_points = (points - low) / size
         is_inside = np.all(grid_points >= -EDGE_TOLERANCE, axis=1)
         is_inside &= np.all(grid_points <= counts + EDGE_TOLERANCE, axis=1)
         cells = np.where(is_inside[:, None], grid_points, 0).astype(np.int64)
         cells = np.clip(cells, 0, counts - 1)
         cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
-        face_counts = starts[cell_indices + 1] - starts[cell_indices]
+        face_counts = start_indices[cell_indices + 1] - start_indices[cell_indices]
         pair_counts = np.where(is_inside, face_counts, 0)
         point_indices = np.repeat(np.arange(len(points)), pair_counts)
         k = np.arange(len(point_indices)) - _group_starts(pair_counts)
-        return point_indices, faces[starts[cell_indices[point_indices]] + k]
+        return point_indices, faces[start_indices[cell_indices[point_indices]] + k]
 
 
 def _group_starts(counts: IntArray) -> IntArray:
@@ -197,7 +197,7 @@ def _group_starts(counts: IntArray) -> IntArray:
     return np.repeat(np.cumsum(counts) - counts, counts)
 
 
-def walkable(
+def find_walkable_nodes(
     ground: Terrain,
     nodes: FloatArray,
     shape: tuple[int, int],

@@ -16,7 +16,12 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane
 from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.ground import GroundFrame, Terrain, ground_at, walkable
+from animtool.systems.crowds.ground import (
+    GroundFrame,
+    Terrain,
+    find_walkable_nodes,
+    ground_at,
+)
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
@@ -43,7 +48,7 @@ class Walls:
     first_walls: npt.NDArray[np.int32]  # index of each agent's first wall (N + 1,)
     # For each wall its unit normal (x, z), the minimum velocity along it [m/s], and the
     # minimum position along it [m] (M, 4).
-    rows: FloatArray
+    half_planes: FloatArray
     agents_of_walls: IntArray  # agent of each wall (M,)
     gaps: FloatArray  # distance between the surfaces of wall and agent (M,) [m]
     closing_speeds: FloatArray  # speed of the wall towards the agent (M,) [m/s]
@@ -148,7 +153,7 @@ class Obstacles:
         """Return the gaps of the edge of the ground."""
         if self.edge_grid is None:
             return []
-        gaps, directions = self.edge_grid.edges(x)
+        gaps, directions = self.edge_grid.obstacle_distances(x)
         return [(gaps - self.agents.radii, directions, np.zeros(len(x)))]
 
 
@@ -212,7 +217,7 @@ def navigation_grids(
     if ground.is_plane and not static_obstacles:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0
-    corners = np.concatenate([agents.starts, goals])
+    corners = np.concatenate([agents.start_points, goals])
     low = high = np.zeros(2)
     if len(corners):
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -234,14 +239,16 @@ def navigation_grids(
     shape = rows, columns
     nodes = NavGrid.nodes(low, cell, shape)
     max_slope = np.radians(spec.ground.slope)
-    ground_heights, has_ground = walkable(ground, nodes, shape, cell, max_slope)
+    ground_heights, has_ground = find_walkable_nodes(
+        ground, nodes, shape, cell, max_slope
+    )
     is_free = has_ground.ravel().copy()
     if static_obstacles:
         static_colliders, heights = Colliders(static_obstacles), ground_heights.ravel()
-        candidates = np.flatnonzero(is_free)
+        free_nodes = np.flatnonzero(is_free)
         height = float(agents.heights.max(initial=radius))
-        for first in range(0, len(candidates), SAMPLE_BLOCK):
-            block = candidates[first : first + SAMPLE_BLOCK]
+        for first in range(0, len(free_nodes), SAMPLE_BLOCK):
+            block = free_nodes[first : first + SAMPLE_BLOCK]
             ones, is_clear = np.ones(len(block)), np.ones(len(block), bool)
             for distances, _, _ in capsule_distances(
                 static_colliders, frame, nodes[block], heights[block],
@@ -251,8 +258,8 @@ def navigation_grids(
                 is_clear &= distances >= radius - cell / 2
             is_free[block] = is_clear
     is_endless = ground.is_plane and has_ground.all()
-    edge = None if is_endless else NavGrid(low, cell, has_ground)
-    return NavGrid(low, cell, is_free.reshape(shape)), edge
+    edge_grid = None if is_endless else NavGrid(low, cell, has_ground)
+    return NavGrid(low, cell, is_free.reshape(shape)), edge_grid
 
 
 def _obstacle_bounds(

@@ -58,8 +58,12 @@ def initial_headings(members: Members, v: FloatArray) -> MemberHeadings:
     count = len(v)
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
-        uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
-        for species, rows in zip(members.entries, members.ranges_by_entry, strict=True)
+        uniforms(species.seed, np.arange(member_range.stop - member_range.start), 1)[
+            :, 0
+        ]
+        for species, member_range in zip(
+            members.entries, members.ranges_by_entry, strict=True
+        )
     ]
     return MemberHeadings(
         _look_rotations(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
@@ -78,10 +82,10 @@ def advance_headings(
     Members bank like aircraft: their up vector follows the lift. It is perpendicular to
     the velocity, and balances gravity and the centripetal acceleration.
     """
-    banking = members.repeat_per_individual(
+    banking_factors = members.repeat_per_individual(
         [entry.banking for entry in members.entries]
     )
-    accelerations = banking[:, None] * (end_velocities - start_velocities) / dt
+    accelerations = banking_factors[:, None] * (end_velocities - start_velocities) / dt
     lift = accelerations + GRAVITY * _UP
     up = so3.rotate(headings.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
@@ -174,8 +178,10 @@ class FlockForces(SecondOrder):
         accelerations = limit_steering(members, v, accelerations)
         if self.forces:
             particles = members.particles
-            external = sum(force.force(t, x, v, particles) for force in self.forces)
-            accelerations = accelerations + external / particles.masses[:, None]
+            external_forces = sum(
+                force.force(t, x, v, particles) for force in self.forces
+            )
+            accelerations = accelerations + external_forces / particles.masses[:, None]
         return accelerations
 
     def settle(
@@ -226,8 +232,8 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         )
         colliders = Colliders([*colliders, walls], colliders.sheets, colliders.bodies)
     species_data = context.parts["species"]
-    members = Members.of(spec, species_data, context.begin)
-    spacing = Spacing.of(members, spec.domain)
+    members = Members.from_spec(spec, species_data, context.begin)
+    spacing = Spacing.for_members(members, spec.domain)
     points, notices = members.clear_positions(colliders, spec.domain)
     if spacing is not None:
         points, overlap = spacing.separate(points, START_PASSES)

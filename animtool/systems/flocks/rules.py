@@ -27,9 +27,9 @@ class FlockRule:
     """A rule of one species towards other members, as kernel arguments."""
 
     members: Indices | None  # members that follow the rule (M,); None for all
-    others: Indices | None  # members that the rule reacts to; None for all
+    targets: Indices | None  # members that the rule reacts to; None for all
     radius: float  # range of sight [m]
-    cosine: float = -1.0  # cosine of half the angle of view
+    view_cosine: float = -1.0  # cosine of half the angle of view
     nearest: int = 0  # number of nearest neighbours; 0 for all
     attraction: tuple[float, float] = (0.0, 0.0)  # weight [1/s²] and range [m]
     alignment: tuple[float, float] = (0.0, 0.0)  # weight [1/s] and range [m]
@@ -86,7 +86,7 @@ def _has_effect(rule: FlockRule) -> bool:
     """Return whether a rule has any members and a nonzero weight."""
     weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
     counts = [
-        len(indices) for indices in (rule.members, rule.others) if indices is not None
+        len(indices) for indices in (rule.members, rule.targets) if indices is not None
     ]
     return any(weights) and 0 not in counts
 
@@ -115,10 +115,14 @@ def max_pairs(count: int) -> float:
     return float(max(MAX_PAIRS_PER_MEMBER * count, MAX_PAIRS))
 
 
-def check_pair_count(count: int, pairs: float, limit: float, hint: str) -> None:
+def check_pair_count(
+    member_count: int, pair_count: float, limit: float, hint: str
+) -> None:
     """Raise SIM107 if too many of N members are neighbours."""
-    if pairs > limit:
-        message = f"{count} members are so close that each has thousands of neighbours"
+    if pair_count > limit:
+        message = (
+            f"{member_count} members are so close that each has thousands of neighbours"
+        )
         raise ToleranceError(Fault("SIM107", message, hint=hint))
 
 
@@ -134,13 +138,13 @@ def rule_accelerations(
     for rule in rules:
         count = len(x) if rule.members is None else len(rule.members)
         limit = max_pairs(count)
-        accelerations, _, pairs = _kernels.flock_accelerations(
-            x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
-            np.array(rule.attraction), np.array(rule.alignment),
+        accelerations, _, pair_count = _kernels.flock_accelerations(
+            x, v, rule.members, rule.targets, rule.radius, rule.view_cosine,
+            rule.nearest, np.array(rule.attraction), np.array(rule.alignment),
             np.array(rule.repulsion), rule.softening, period, limit,
         )  # fmt: skip
         hint = "reduce their range of sight, or strengthen the repulsion"
-        check_pair_count(count, pairs, limit, hint)
-        rows = slice(None) if rule.members is None else rule.members
-        accelerations_sum[rows] += accelerations
+        check_pair_count(count, pair_count, limit, hint)
+        member_indices = slice(None) if rule.members is None else rule.members
+        accelerations_sum[member_indices] += accelerations
     return accelerations_sum

@@ -44,7 +44,7 @@ class Spacing:
     period: FloatArray  # origin and length of each axis (2, 3) [m], 0 if not periodic
 
     @staticmethod
-    def of(members: Members, domain: DomainModel | None) -> Spacing | None:
+    def for_members(members: Members, domain: DomainModel | None) -> Spacing | None:
         """Return the spacing of members; None without minimum distances."""
         distances = members.repeat_per_individual(
             [min_distance(entry) for entry in members.entries]
@@ -59,19 +59,19 @@ class Spacing:
         squared closing speed over twice the remaining gap, weighted by proximity.
         """
         limit = max_pairs(len(x))
-        accelerations, pairs = _kernels.flock_braking(
+        accelerations, pair_count = _kernels.flock_braking(
             x, v, self.distances, BRAKING_RANGE, MIN_BRAKING_GAP, self.period, limit
         )
-        check_pair_count(len(x), pairs, limit, REMEDY_HINT)
+        check_pair_count(len(x), pair_count, limit, REMEDY_HINT)
         return np.asarray(accelerations)
 
     def separate(
-        self, x: FloatArray, passes: int = STEP_PASSES
+        self, x: FloatArray, pass_count: int = STEP_PASSES
     ) -> tuple[FloatArray, float]:
         """Return separated positions ``(N, 3)`` [m], and the remaining overlap [m]."""
         limit = max_pairs(len(x))
-        separated, overlap, pairs = _kernels.flock_separate(
-            x, self.distances, passes, RELAXATION, CLEARANCE, self.period, limit
+        separated_points, overlap, pair_count = _kernels.flock_separate(
+            x, self.distances, pass_count, RELAXATION, CLEARANCE, self.period, limit
         )
-        check_pair_count(len(x), pairs, limit, REMEDY_HINT)
-        return separated, overlap
+        check_pair_count(len(x), pair_count, limit, REMEDY_HINT)
+        return separated_points, overlap

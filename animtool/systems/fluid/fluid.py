@@ -25,8 +25,8 @@ from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import (
     Nozzle,
     coarse_drop_warnings,
+    find_clear_points,
     initial_fluid,
-    is_clear,
 )
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
@@ -119,7 +119,9 @@ class Fluid:
         self._nozzles, self._drains, self._notices = nozzles, drains, notices
         self._mass = spec.density * spec.spacing**3
         self._substeps = Substeps(spec)
-        self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
+        self._colouring = (
+            None if spec.colour is None else Colouring.from_model(spec.colour, {})
+        )
         # Without moving colliders the initial energy is an upper bound.
         is_static = not colliders.bodies and not colliders.sheets
         is_static &= all(collider.poses.is_fixed for collider in colliders)
@@ -164,7 +166,7 @@ class Fluid:
         """Return the fluid as particles, for force fields."""
         births, points = state.births, state.motion[0]
         radius = self._spec.spacing / 2
-        return ParticleState.lasting(state.ids, self._mass, radius, births, points)
+        return ParticleState.everlasting(state.ids, self._mass, radius, births, points)
 
     def _accelerations(self, state: FluidState, t: float) -> FloatArray:
         """Return accelerations of forces ``(N, 3)`` [m/s²]."""
@@ -207,17 +209,19 @@ class Fluid:
         sound_speed = self._substeps.step_sound_speed(
             state.sound, state.pressures, speeds, max_acceleration, dt
         )
-        needed_substeps = self._substeps.substep_count(dt, max_speed, sound_speed)
-        if needed_substeps > self._substeps.max_substeps:
+        needed_count = self._substeps.substep_count(dt, max_speed, sound_speed)
+        if needed_count > self._substeps.max_substeps:
             max_substeps, spacing = self._substeps.max_substeps, self._spec.spacing
             message = f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step "
             message += f"of {dt:g} s needs more than {max_substeps} substeps"
-            ratio = needed_substeps / max_substeps
-            self._stop_for_long_step(state, t, dt, message, ratio, notices)
-        substeps, max_compression = int(needed_substeps), self._spec.compression
-        result = self._run_kernel(state, t, dt, accelerations, sound_speed, substeps)
+            substep_ratio = needed_count / max_substeps
+            self._stop_for_long_step(state, t, dt, message, substep_ratio, notices)
+        substep_count, max_compression = int(needed_count), self._spec.compression
+        result = self._run_kernel(
+            state, t, dt, accelerations, sound_speed, substep_count
+        )
         while result.compression > max_compression:
-            finer_sound, finer_substeps = 2 * sound_speed, 2 * substeps
+            finer_sound, finer_substeps = 2 * sound_speed, 2 * substep_count
             if finer_substeps > self._substeps.max_substeps:
                 break
             finer_result = self._run_kernel(
@@ -225,7 +229,11 @@ class Fluid:
             )
             if finer_result.compression > DOUBLING_GAIN * result.compression:
                 break
-            result, sound_speed, substeps = finer_result, finer_sound, finer_substeps
+            result, sound_speed, substep_count = (
+                finer_result,
+                finer_sound,
+                finer_substeps,
+            )
         if not np.isfinite(result.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         compression = result.compression
@@ -246,7 +254,7 @@ class Fluid:
             sound=sound_speed,
             compression=compression,
             densest=max(state.densest, compression),
-            parts=substeps,
+            parts=substep_count,
         )
         if self._has_energy_gain(end_state):
             message = f"its energy changed to {self._energy(end_state)[0]:.3g} J, from "
@@ -261,11 +269,13 @@ class Fluid:
         dt: float,
         accelerations: FloatArray,
         sound_speed: float,
-        substeps: int,
+        substep_count: int,
     ) -> PressureResult:
         """Return the state after all substeps; sheets collide after each block."""
         colliders, motion = self._colliders, state.motion
-        collision_substeps = self._substeps.collision_substeps(colliders, substeps, dt)
+        collision_substeps = self._substeps.collision_substeps(
+            colliders, substep_count, dt
+        )
         substep = dt / collision_substeps
         pressures = np.zeros(len(state.ids))
         compression = 0.0
@@ -288,7 +298,7 @@ class Fluid:
                     self._spec.tension,
                     sound_speed,
                     substep,
-                    -(-substeps // collision_substeps),
+                    -(-substep_count // collision_substeps),
                 )
             )
             pressures += step_pressures / collision_substeps
@@ -301,8 +311,8 @@ class Fluid:
                 motion = np.stack([collision.points, collision.velocities])
             impulses = split_by_system(colliders.bodies, body_impulses)
             wrenches = [
-                Wrenches.sum([earlier.delayed_by(substep), Wrenches(*system)])
-                for earlier, system in zip(wrenches, impulses, strict=True)
+                Wrenches.sum([earlier_wrenches.delayed_by(substep), Wrenches(*system)])
+                for earlier_wrenches, system in zip(wrenches, impulses, strict=True)
             ]
         return PressureResult(motion, pressures, compression, wrenches)
 
@@ -387,15 +397,15 @@ class Fluid:
 
     def _select(self, state: FluidState, is_selected: BoolArray) -> FluidState:
         """Return a state with the selected particles only."""
-        remaining = replace(
+        remaining_state = replace(
             state,
             ids=state.ids[is_selected],
             motion=np.ascontiguousarray(state.motion[:, is_selected]),
             births=state.births[is_selected],
             pressures=state.pressures[is_selected],
         )
-        removed_energy = self._energy(state)[0] - self._energy(remaining)[0]
-        return replace(remaining, energy=state.energy - removed_energy)
+        removed_energy = self._energy(state)[0] - self._energy(remaining_state)[0]
+        return replace(remaining_state, energy=state.energy - removed_energy)
 
     def _add_inflow(
         self,
@@ -417,7 +427,9 @@ class Fluid:
                 hint = "raise max_particles, open a drain, or close an emitter"
                 notices.append(warning("SIM121", message, hint))
             points, spacing = state.motion[0], self._spec.spacing
-            has_room = is_clear(inflow.state[0], points, self._colliders, end, spacing)
+            has_room = find_clear_points(
+                inflow.state[0], points, self._colliders, end, spacing
+            )
             blocked_count = int((~has_room).sum())
             if blocked_count:
                 message = f"{counted(blocked_count, 'particle')} could not be emitted "

@@ -76,7 +76,7 @@ class Colouring:
     ramp: FloatArray  # (C, 3)
 
     @staticmethod
-    def of(model: ColourModel, quantities: Quantities) -> Colouring:
+    def from_model(model: ColourModel, quantities: Quantities) -> Colouring:
         """Return the colouring of a model; its default range is from the quantities."""
         default_ramp = DEFAULT_PALETTE if model.by == "species" else DEFAULT_RAMP
         ramp = np.array(model.ramp or default_ramp, np.float64)

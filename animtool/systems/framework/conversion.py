@@ -107,7 +107,7 @@ class SceneUnits:
     scene_length: LengthUnit | None = None
 
     @staticmethod
-    def of(length: str | None, angle: str | None) -> SceneUnits:
+    def from_names(length: str | None, angle: str | None) -> SceneUnits:
         """Return units by name; None is the default of systems."""
         unit = None if length is None else LengthUnit(length)
         degrees = math.degrees(1.0) if angle == "rad" else 1.0
@@ -121,7 +121,7 @@ class SceneUnits:
     def factor(self, unit: str) -> float:
         """Return the factor from a unit to metres and degrees.
 
-        >>> SceneUnits.of("cm", None).factor("m/s²")
+        >>> SceneUnits.from_names("cm", None).factor("m/s²")
         0.01
         """
         length_power, angle_power = unit_powers(unit)

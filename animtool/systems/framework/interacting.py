@@ -119,7 +119,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         radii: Displayed radii ``(N,)`` [m].
         species: Entry index of each body ``(N,)``.
         has_many_species: Whether there is more than one entry.
-        written_bodies: Indices of the bodies in frames ``(M,)``.
+        written_indices: Indices of the bodies in frames ``(M,)``.
         inertia: Divisor from forces to accelerations ``(N, 1)``; None is 1.
         box: Size of the periodic box ``(3,)``; None without.
     """
@@ -131,7 +131,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     radii: FloatArray
     species: npt.NDArray[np.integer[Any]]
     has_many_species: bool
-    written_bodies: IntArray
+    written_indices: IntArray
     box: FloatArray | None = None
     inertia: FloatArray | None = None
 
@@ -156,7 +156,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         check_supported(Equations(self._system(state)), self._integrator)
         if self._spec.colour is not None:
             quantities = self._quantities(state, self._begin)
-            self._colouring = Colouring.of(self._spec.colour, quantities)
+            self._colouring = Colouring.from_model(self._spec.colour, quantities)
 
     @abstractmethod
     def _start(self, motion: FloatArray) -> State:
@@ -302,7 +302,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     @np.errstate(all="ignore")
     def frame(self, state: State, t: float) -> PointsFrame:
         """Return the frame of the written bodies."""
-        rows = self.written_bodies
+        rows = self.written_indices
         points, velocities = self._to_scene(state.motion)[:, rows]
         primvars: dict[str, Any] = {}
         if self.has_many_species:

@@ -41,7 +41,7 @@ class SystemBodies:
     """Names, masses and shapes of B rigid bodies, for other systems."""
 
     names: Sequence[str]  # (B,)
-    dynamic: IntArray  # indices of dynamic bodies (count,)
+    dynamic_indices: IntArray  # indices of dynamic bodies (count,)
     masses: FloatArray  # masses of dynamic bodies (count,) [kg]
     bounding_radii: Sequence[float]  # about the centres of mass (B,) [m]
     shapes: Sequence[Collider]  # shapes of all bodies (C,)
@@ -50,13 +50,13 @@ class SystemBodies:
     @property
     def count(self) -> int:
         """Number of dynamic bodies."""
-        return len(self.dynamic)
+        return len(self.dynamic_indices)
 
     @property
     def owners(self) -> IntArray:
         """Index of each shape's body among the dynamic bodies (C,); -1 if kinematic."""
         numbers = np.full(len(self.names), -1)
-        numbers[self.dynamic] = np.arange(self.count)
+        numbers[self.dynamic_indices] = np.arange(self.count)
         return numbers[self.shape_bodies]
 
 

@@ -56,7 +56,7 @@ class Atoms(PointMasses):
     radii: FloatArray  # (N,) [m]
 
     @staticmethod
-    def of(
+    def from_spec(
         spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: PeriodicBox
     ) -> Atoms:
         """Return the atoms of a spec; raise SIM071 if they are invalid."""
@@ -107,17 +107,19 @@ def _read_motion(
             message = "velocities need points"
             refuse(MoleculesModel.code, message, "species")
         return None, None
-    kind = f"{model.name!r}, atom"
+    atom_label = f"{model.name!r}, atom"
     point_masses = PointMasses.read(
-        parts, model.mass, kind, MoleculesModel.code, "species"
+        parts, model.mass, atom_label, MoleculesModel.code, "species"
     )
     x = box.to_local(points)
     tolerance = 1e-9 * box.size
     is_outside = ~((x >= -tolerance) & (x <= box.size + tolerance)).all(axis=1)
     if is_outside.any():
         i = int(np.argmax(is_outside))
-        where = ", ".join(f"{value:g}" for value in points[i])
-        message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
+        position_text = ", ".join(f"{value:g}" for value in points[i])
+        message = (
+            f"atom {i} of {model.name!r} is outside the box, at ({position_text}) m"
+        )
         hint = "a nanometre is `scale` metres; `at` is the centre"
         refuse(MoleculesModel.code, message, "species", hint)
     if velocities is None:
@@ -138,21 +140,24 @@ def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     if not len(cell_sites) * shape.prod() <= max_sites:
         message = f"{total} atoms do not fill a lattice in a box of {size.tolist()} nm"
         refuse(spec.code, message, "box", "use more equal sides")
-    cells = shape.astype(np.int64)
-    while len(cell_sites) * cells.prod() < total:
-        cells[np.argmax(size / cells)] += 1
-    corners = np.indices(cells).reshape(3, -1).T
+    cell_counts = shape.astype(np.int64)
+    while len(cell_sites) * cell_counts.prod() < total:
+        cell_counts[np.argmax(size / cell_counts)] += 1
+    corners = np.indices(cell_counts).reshape(3, -1).T
     sites = (corners[:, None] + cell_sites).reshape(-1, 3)
     # If there are more sites than atoms, atoms are spread over them evenly.
-    indices = np.arange(total) * len(sites) // total
+    site_indices = np.arange(total) * len(sites) // total
     order = np.arange(total)
     if len(counts) > 1 and spec.lattice == "fcc":
         randoms = uniforms(spec.seed, np.arange(total), 1)[:, 0]
         order = np.argsort(randoms, kind="stable")
     elif len(counts) > 1:
-        cell_parities = corners[indices].sum(axis=1) % 2
+        cell_parities = corners[site_indices].sum(axis=1) % 2
         order = np.argsort(cell_parities, kind="stable")
-    points = sites[indices][order] / cells * size + (np.array(spec.box) - size) / 2
+    points = (
+        sites[site_indices][order] / cell_counts * size
+        + (np.array(spec.box) - size) / 2
+    )
     return np.split(points, np.cumsum(counts)[:-1])
 
 

@@ -72,8 +72,8 @@ class Interactions:
         if self._charges is None:
             return 0.0
         screened_potential = erfc(self._damping * self._cutoff) / (2 * self._cutoff)
-        per_charge = screened_potential + self._damping / np.sqrt(np.pi)
-        return -float(per_charge * (self._charges**2).sum())
+        energy_per_charge = screened_potential + self._damping / np.sqrt(np.pi)
+        return -float(energy_per_charge * (self._charges**2).sum())
 
     def valid_reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
         """Return ``before`` if its neighbour list is valid at ``x``, else ``x``."""
@@ -123,7 +123,7 @@ ListedForces: TypeAlias = tuple[AtomForces, FloatArray]
 def build(spec: MoleculesModel, context: SimContext) -> Molecules:
     """Build the atoms of a spec; raise SIM001, SIM005, SIM006, SIM071 if invalid."""
     box = PeriodicBox(spec)
-    atoms = Atoms.of(spec, context.parts["species"], box)
+    atoms = Atoms.from_spec(spec, context.parts["species"], box)
     molecules = Molecules(spec, context, box, atoms)
     molecules.begin()
     return molecules
@@ -150,7 +150,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         self.radii, self.species = self.atoms.radii, self.atoms.entry_indices
         self.has_many_species = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
-        self.written_bodies = np.arange(len(self.species))
+        self.written_indices = np.arange(len(self.species))
         self._periodic_box, self.box = periodic_box, periodic_box.size
         self._interactions = Interactions(spec, self.atoms, periodic_box)
         self._degrees_of_freedom = max(3 * len(self.bodies.masses) - 3, 1)
@@ -192,8 +192,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         x = start.motion[0] % size
         distances, neighbours = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
-        first, second = sorted(neighbours[i].tolist())
-        message = f"atoms {first} and {second} start {distances[i, 1]:.3g} nm apart"
+        first_atom, second_atom = sorted(neighbours[i].tolist())
+        message = (
+            f"atoms {first_atom} and {second_atom} start {distances[i, 1]:.3g} nm apart"
+        )
         hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
@@ -239,9 +241,14 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             faults = [replace(fault, hint=hint) for fault in error.faults]
             raise StoppedError(faults, error.stats) from None
         distances = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
-        fastest = int(np.argmax(distances))
-        if not distances[fastest] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
-            reason = f"atom {fastest} moves {distances[fastest]:.3g} nm in a step"
+        fastest_atom = int(np.argmax(distances))
+        if (
+            not distances[fastest_atom]
+            <= MAX_STEP_TRAVEL * self._periodic_box.size.min()
+        ):
+            reason = (
+                f"atom {fastest_atom} moves {distances[fastest_atom]:.3g} nm in a step"
+            )
             self._stop(state, t + dt, reason)
         (forces, reference), heat = system.sums_at(motion[0]), state.heat
         if spec.thermostat is not None:
@@ -268,9 +275,11 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return RECOMMENDED_STEP / max(self._max_frequency * self._time_scale, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
-        internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
-        external = self.external_accelerations(t, state.motion[0])[1]
-        return internal + float(external.sum())
+        internal_energy = (
+            float(state.acting.energies.sum()) + self._interactions.self_energy()
+        )
+        external_energies = self.external_accelerations(t, state.motion[0])[1]
+        return internal_energy + float(external_energies.sum())
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
         x, v = motion

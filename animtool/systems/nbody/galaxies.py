@@ -148,9 +148,9 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
         components.append(PointMasses(origin, origin, np.array([galaxy.nucleus])))
     if galaxy.disc is not None:
         components.append(_build_disc(galaxy.disc, profile, galaxy.seed))
-    for number, spheroid in enumerate((galaxy.bulge, galaxy.halo)):
+    for component_index, spheroid in enumerate((galaxy.bulge, galaxy.halo)):
         if spheroid is not None:
-            seed = galaxy.seed + 1000 * (number + 1)
+            seed = galaxy.seed + 1000 * (component_index + 1)
             components.append(_build_spheroid(spheroid, profile, seed))
     bodies = PointMasses.concatenate(components)
     # Its centre of mass is at the position and velocity of the file.
@@ -211,8 +211,8 @@ def disc_velocities(
     squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
     epicyclic_frequency = np.sqrt(np.maximum(squares, 1e-300))
     surface_densities = surface_density(disc, r)
-    factor = disc.stability * TOOMRE_CONSTANT * profile.constant
-    radial = factor * surface_densities / epicyclic_frequency
+    toomre_factor = disc.stability * TOOMRE_CONSTANT * profile.constant
+    radial = toomre_factor * surface_densities / epicyclic_frequency
     radial = np.minimum(radial, MAX_DISPERSION_RATIO * circular)
     ratio = epicyclic_frequency / np.maximum(2 * angular_velocity, 1e-300)
     squared_drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)

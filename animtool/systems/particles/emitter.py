@@ -163,8 +163,8 @@ class Emitter(Emission, CheckedRecord):
         height = 1 - randoms[:, :1] * (1 - math.cos(self.spread))
         radius = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * randoms[:, 1:]
-        smallest_axes = np.argmin(np.abs(axes), axis=1)
-        first_tangent = np.cross(axes, np.eye(3)[smallest_axes])
+        smallest_axis_indices = np.argmin(np.abs(axes), axis=1)
+        first_tangent = np.cross(axes, np.eye(3)[smallest_axis_indices])
         first_tangent /= np.linalg.norm(first_tangent, axis=1)[:, None]
         second_tangent = np.cross(axes, first_tangent)
         radial = first_tangent * np.cos(angle) + second_tangent * np.sin(angle)

@@ -116,17 +116,17 @@ class MeshSurface:
         a, b, c = points[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
-        cumulative = np.cumsum(areas)
-        samples = uniforms[:, 0] * cumulative[-1]
-        faces = np.searchsorted(cumulative, samples, side="right")
-        faces = np.minimum(faces, len(areas) - 1)
+        cumulative_areas = np.cumsum(areas)
+        samples = uniforms[:, 0] * cumulative_areas[-1]
+        face_indices = np.searchsorted(cumulative_areas, samples, side="right")
+        face_indices = np.minimum(face_indices, len(areas) - 1)
         # Folded along the diagonal, the unit square is a triangle.
         u, v = uniforms[:, 1], uniforms[:, 2]
         is_outside = u + v > 1
         u = np.where(is_outside, 1 - u, u)[:, None]
         v = np.where(is_outside, 1 - v, v)[:, None]
-        points = a[faces] + u * (b - a)[faces] + v * (c - a)[faces]
-        return points, normals[faces] / areas[faces, None]
+        points = a[face_indices] + u * (b - a)[face_indices] + v * (c - a)[face_indices]
+        return points, normals[face_indices] / areas[face_indices, None]
 
     def faults(self) -> list[str]:
         """Return a message for each invalid value."""

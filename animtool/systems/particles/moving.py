@@ -71,16 +71,16 @@ class ParticleForces(_ParticleSystem, SecondOrder):
     ) -> FloatArray:
         """Return the state after contacts exchanged momentum with bodies."""
         state = np.stack([collision.points, collision.velocities])
-        first_collider = len(self._colliders)
+        static_count = len(self._colliders)
         for i, system in enumerate(self._colliders.bodies):
-            shapes = collision.contacts.colliders - first_collider
-            shapes[shapes >= len(system.colliders)] = -1
-            first_collider += len(system.colliders)
+            shape_indices = collision.contacts.colliders - static_count
+            shape_indices[shape_indices >= len(system.colliders)] = -1
+            static_count += len(system.colliders)
             if not system.count:
                 continue
             masses = self.particles.masses
             state, wrenches = exchange_impulses(
-                system, t, shapes, without_contacts, state, masses
+                system, t, shape_indices, without_contacts, state, masses
             )
             self.wrenches[i] = Wrenches.sum([self.wrenches[i].delayed_by(h), wrenches])
         return state
@@ -104,8 +104,10 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             return None
         # A numpy number: division by a mass of 0 in a resumed state must not raise.
         forces, mass = self.setup.forces, self.particles.masses.min()
-        stiffness = sum(one.stiffness() for one in forces) / mass
-        damping = sum(one.damping(state[1], self.particles) for one in forces) / mass
+        stiffness = sum(force.stiffness() for force in forces) / mass
+        damping = (
+            sum(force.damping(state[1], self.particles) for force in forces) / mass
+        )
         rotation_rates = [force.turning(self.particles) for force in forces]
         rotation_rate = max(rotation_rates, default=0.0)
         modes = [(rotation_rate, 0.0)] if rotation_rate > 0 else []
@@ -135,10 +137,10 @@ class ParticleFlow(_ParticleSystem, FirstOrder):
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
         """Return the state after collisions."""
-        speed = (after - before) / h
-        start = np.stack([before, speed])
+        velocities = (after - before) / h
+        start = np.stack([before, velocities])
         radii = self.particles.radii
-        collision = collide(after, speed, start, self._colliders, t - h, t, radii)
+        collision = collide(after, velocities, start, self._colliders, t - h, t, radii)
         self.contacts = collision.contacts
         return collision.points if collision.contacts.any.any() else after
 
@@ -240,7 +242,7 @@ class DivergenceCheck:
 
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
         self._setup, self._colliders = setup, colliders
-        self._particles = ParticleState.none()
+        self._particles = ParticleState.empty()
         self._ids: IntArray = np.zeros(0, np.int64)
         # Kinetic and potential energy of each particle when first observed ``(2, N)``.
         self._first_energies: FloatArray = np.zeros((2, 0))
@@ -281,7 +283,7 @@ class DivergenceCheck:
         current_energies, has_all_potentials = particle_energies(
             self._setup, self._particles, state
         )
-        has_pair_forces = any(force.pairs for force in self._setup.forces)
+        has_pair_forces = any(force.is_pair_force for force in self._setup.forces)
         if not has_all_potentials and (has_pair_forces or not self.has_long_steps):
             return ""
         kinetic, potential = self._first_energies.sum(axis=1).tolist()

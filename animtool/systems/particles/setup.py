@@ -136,4 +136,11 @@ def _record_faults(
 def _table_name(force: Force) -> str:
     """Return the name of a force in `FORCES`, or the class name if it has none."""
     kind = type(force).__name__
-    return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)
+    return next(
+        (
+            name
+            for name, class_path in FORCES.items()
+            if class_path.endswith(f":{kind}")
+        ),
+        kind,
+    )

@@ -70,7 +70,7 @@ class ParticleRunState:
     trial: float | None = field(default=None, metadata=field_set_later())
 
 
-_NO_PARTICLES = ParticleRunState(ParticleState.none(), np.zeros((2, 0, 3)))
+_NO_PARTICLES = ParticleRunState(ParticleState.empty(), np.zeros((2, 0, 3)))
 
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
@@ -291,7 +291,7 @@ class ParticleSimulation:
             )
             states.append(np.stack([x, v]))
         if not states:
-            return ParticleState.none(), np.zeros((2, 0, 3)), skipped_count
+            return ParticleState.empty(), np.zeros((2, 0, 3)), skipped_count
         particles = ParticleState.concatenate(particle_sets)
         state = np.concatenate(states, axis=1)
         order = np.argsort(particles.births, kind="stable")
@@ -303,14 +303,21 @@ class ParticleSimulation:
         self, particles: ParticleState, contacts: Contacts, t: float
     ) -> Iterator[Fault]:
         """Yield a warning about particles that stay inside colliders (SIM123)."""
-        (stuck_rows,) = np.nonzero(contacts.touches == ContactKind.UNRESOLVED)
-        if not len(stuck_rows):
+        (stuck_indices,) = np.nonzero(contacts.touches == ContactKind.UNRESOLVED)
+        if not len(stuck_indices):
             return
-        label = f"particle {int(particles.ids[stuck_rows[0]])}"
-        index, setup = int(contacts.colliders[stuck_rows[0]]), self.setup
-        names = [one.name or f"colliders[{i}]" for i, one in enumerate(setup.colliders)]
-        names += [one.name for system in setup.bodies for one in system.colliders]
-        names += [one.name or f"sheets[{i}]" for i, one in enumerate(setup.sheets)]
+        label = f"particle {int(particles.ids[stuck_indices[0]])}"
+        index, setup = int(contacts.colliders[stuck_indices[0]]), self.setup
+        names = [
+            collider.name or f"colliders[{i}]"
+            for i, collider in enumerate(setup.colliders)
+        ]
+        names += [
+            collider.name for system in setup.bodies for collider in system.colliders
+        ]
+        names += [
+            collider.name or f"sheets[{i}]" for i, collider in enumerate(setup.sheets)
+        ]
         message = f"{label} is inside {names[index]!r} at {t:g} s, and cannot be "
         message += "pushed out at once"
         hint = "particles start inside, or colliders close in on them from several "
@@ -350,8 +357,8 @@ class ParticleSimulation:
             k
             for k, region in enumerate(self._kill_regions)
             if all(
-                (region.sample(one.poses.at(t)[None, :3], t).distances < 0).all()
-                for one in emitters
+                (region.sample(emitter.poses.at(t)[None, :3], t).distances < 0).all()
+                for emitter in emitters
             )
         ]
         if regions:
@@ -368,16 +375,23 @@ class ParticleSimulation:
                 message += "inside it"
                 hint = "to remove what leaves it, write container: true"
             return warning("SIM188", message, hint, f"kill[{k}]")
-        starts = [
-            min([*(time for time, _ in one.bursts), one.start if one.rate else np.inf])
-            for one in emitters
+        start_times = [
+            min(
+                [
+                    *(time for time, _ in emitter.bursts),
+                    emitter.start if emitter.rate else np.inf,
+                ]
+            )
+            for emitter in emitters
         ]
-        first = min(starts)
-        if t < first < np.inf:
-            message += f": the first emitter starts at {first:g} s, after the last "
+        first_time = min(start_times)
+        if t < first_time < np.inf:
+            message += (
+                f": the first emitter starts at {first_time:g} s, after the last "
+            )
             message += f"frame, at {t:.3g} s"
             hint = "times are in seconds from the first frame of the range"
-            where = f"emitters[{starts.index(first)}]"
+            where = f"emitters[{start_times.index(first_time)}]"
             return warning("SIM188", message, hint, where)
         hint = "set a rate or bursts, and a start and a lifetime with which "
         return warning("SIM188", message, hint + "particles exist in the range")

@@ -58,11 +58,11 @@ class RigidBodies:
     # Poses of each body over time; of a dynamic one the initial pose.
     poses: Sequence[Poses]
     begin: float
-    dynamic: IntArray = field(init=False)  # indices of dynamic bodies (N,)
+    dynamic_indices: IntArray = field(init=False)  # indices of dynamic bodies (N,)
 
     def __post_init__(self) -> None:
         """Find the dynamic bodies."""
-        object.__setattr__(self, "dynamic", np.flatnonzero(self.is_dynamic))
+        object.__setattr__(self, "dynamic_indices", np.flatnonzero(self.is_dynamic))
 
     @staticmethod
     def from_models(
@@ -125,8 +125,8 @@ class RigidBodies:
     @cached_property
     def static_bodies(self) -> frozenset[int]:
         """Indices of kinematic bodies that never move."""
-        kinematic = np.flatnonzero(~self.is_dynamic).tolist()
-        return frozenset(i for i in kinematic if self.poses[i].is_fixed)
+        kinematic_indices = np.flatnonzero(~self.is_dynamic).tolist()
+        return frozenset(i for i in kinematic_indices if self.poses[i].is_fixed)
 
     @cached_property
     def masses(self) -> FloatArray:
@@ -161,7 +161,7 @@ class RigidBodies:
 
     def _per_dynamic_body(self, values_by_kind: Sequence[ArrayLike]) -> FloatArray:
         """Return the value of each dynamic body, from those of the kinds ``(N, …)``."""
-        return np.array(values_by_kind)[self.kind_of_body[self.dynamic]]
+        return np.array(values_by_kind)[self.kind_of_body[self.dynamic_indices]]
 
     def kind_of(self, body: int) -> BodyKind:
         """Return the kind of a body, by its index among all bodies."""
@@ -170,9 +170,9 @@ class RigidBodies:
     @cached_property
     def initial_states(self) -> FloatArray:
         """Initial states of dynamic bodies, in the kernel's layout ``(N, 14)``."""
-        poses = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
+        poses = np.array([self.poses[i].at(self.begin) for i in self.dynamic_indices])
         poses = poses.reshape(-1, 7)
-        models = [self.kind_of(i).model for i in self.dynamic]
+        models = [self.kind_of(i).model for i in self.dynamic_indices]
         velocities = np.array([m.velocity for m in models], np.float64).reshape(-1, 3)
         spins = np.radians([m.spin for m in models]).reshape(-1, 3)
         centres = poses[:, :3] + so3.rotate(poses[:, 3:], self.centres)
@@ -187,7 +187,7 @@ class RigidBodies:
 
         The velocities are averages over the step [s] before ``t``.
         """
-        i = int(self.dynamic[dynamic_index])
+        i = int(self.dynamic_indices[dynamic_index])
         previous_pose, pose = self.poses[i].at(t - dt), self.poses[i].at(t)
         offset, moments = self.centres[dynamic_index], self.moments[dynamic_index]
         previous_centre = previous_pose[:3] + so3.rotate(previous_pose[3:], offset)
@@ -216,25 +216,25 @@ class RigidBodies:
         return [
             Collider(
                 shape,
-                offset_poses(self.poses[i], at, rotation),
+                offset_poses(self.poses[i], origin, rotation),
                 name=self.names[i],
                 restitution=kind.model.restitution,
                 friction=kind.model.friction,
             )
             for i in np.flatnonzero(~self.is_dynamic).tolist()
             for kind in [self.kind_of(i)]
-            for shape, at, rotation in kind.shapes
+            for shape, origin, rotation in kind.shapes
         ]
 
-    def excluded_pairs(self, pairs: IntArray, first_collider: int) -> IntArray:
+    def excluded_pairs(self, pairs: IntArray, static_count: int) -> IntArray:
         """Return pairs that do not collide, as kernel indices ``(Q, 2)``.
 
-        ``pairs`` are indices of all bodies ``(P, 2)``; ``first_collider`` is the index
+        ``pairs`` are indices of all bodies ``(P, 2)``; ``static_count`` is the index
         of the first of `colliders` among all colliders.
         """
         shape_counts = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
         counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])
-        first_index = len(self.dynamic) + first_collider
+        first_index = len(self.dynamic_indices) + static_count
         first_shapes = first_index + np.cumsum(counts) - counts
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         kernel_pairs: list[tuple[int, int]] = []
@@ -269,7 +269,7 @@ class RigidBodies:
         cores_by_kind = [
             [k.core_at_centre(core) for core in k.cores] for k in self.kinds
         ]
-        for dynamic_index, i in enumerate(self.dynamic.tolist()):
+        for dynamic_index, i in enumerate(self.dynamic_indices.tolist()):
             cores += cores_by_kind[self.kind_of_body[i]]
             body_indices += [dynamic_index] * len(cores_by_kind[self.kind_of_body[i]])
         return cores, np.array(body_indices, np.int64)
@@ -278,7 +278,7 @@ class RigidBodies:
         self,
         joints: IntArray,
         parameters: FloatArray,
-        excluded: IntArray,
+        excluded_pairs: IntArray,
         mass_factors: FloatArray | float,
     ) -> Any:
         """Return bodies and joints as a kernel object.
@@ -288,7 +288,13 @@ class RigidBodies:
         """
         masses = (self.masses * mass_factors)[:, None]
         masses = np.concatenate([masses, self.moments], axis=1)
-        arrays: list[Any] = [masses, *self._shape_arrays, joints, parameters, excluded]
+        arrays: list[Any] = [
+            masses,
+            *self._shape_arrays,
+            joints,
+            parameters,
+            excluded_pairs,
+        ]
         return _kernels.RigidBodies(*arrays)
 
     @cached_property
@@ -296,7 +302,7 @@ class RigidBodies:
         """Shapes of dynamic bodies, in the layout of the kernel."""
         cores, owners = self.cores_and_bodies
         faces = [face for core in cores for face in core.faces]
-        models = [self.kind_of(self.dynamic[i]).model for i in owners]
+        models = [self.kind_of(self.dynamic_indices[i]).model for i in owners]
         materials = [
             (core.radius, m.restitution, m.friction)
             for core, m in zip(cores, models, strict=True)

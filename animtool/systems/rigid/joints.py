@@ -92,9 +92,9 @@ class Joints:
     def excluded_pairs(self) -> IntArray:
         """All pairs of bodies that do not collide ``(P, 2)``."""
         pairs = [joint.excluded_pair for joint in self.members]
-        excluded = [pair for pair in pairs if pair[0] >= 0]
+        joint_pairs = [pair for pair in pairs if pair[0] >= 0]
         return np.concatenate(
-            [np.array(excluded, np.int64).reshape(-1, 2), self.other_pairs]
+            [np.array(joint_pairs, np.int64).reshape(-1, 2), self.other_pairs]
         )
 
     def anchor_frames(self, t0: float, t1: float) -> FloatArray:
@@ -160,7 +160,7 @@ def build_joints(
     """
     joints: list[BodyJoint] = []
     notices: list[Fault] = []
-    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
     for i, (model, entry_data) in enumerate(zip(models, parts, strict=True)):
         where = f"joints[{i}]"
         name = model.name or where
@@ -215,13 +215,13 @@ def subset_joints(
     """
     if bodies is all_bodies:
         return joints, np.arange(len(joints))
-    new_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    new_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
     members, indices = [], []
     for k, joint in enumerate(joints.members):
         (first, second), parameters = joint.bodies, joints.parameters[k]
         frame_a, frame_b, settings = parameters[:7], parameters[7:14], parameters[14:]
-        a = -1 if first < 0 else int(all_bodies.dynamic[first])
-        b, anchor = int(all_bodies.dynamic[second]), joint.anchor
+        a = -1 if first < 0 else int(all_bodies.dynamic_indices[first])
+        b, anchor = int(all_bodies.dynamic_indices[second]), joint.anchor
         if a >= 0 and a not in new_indices:
             frame_a, anchor = to_body_frame(all_bodies, first, frame_a), bodies.poses[a]
         if b not in new_indices:
@@ -260,7 +260,7 @@ def to_body_frame(
     bodies: RigidBodies, dynamic_index: int, frame: FloatArray
 ) -> FloatArray:
     """Transform a frame ``(7,)`` from principal axes to the frame of the body."""
-    kind = bodies.kind_of(bodies.dynamic[dynamic_index])
+    kind = bodies.kind_of(bodies.dynamic_indices[dynamic_index])
     return to_parent_frame(kind.principal_frame, frame)
 
 

@@ -42,7 +42,7 @@ from animtool.systems.rigid.cores import (
 from animtool.systems.rigid.spec import BodyModel
 
 # Rounding tolerance of the triangle inequality of moments, relative to their sum.
-ROUNDING = 1e-9
+MASS_ROUNDING = 1e-9
 # Smaller masses overflow impulses.
 MIN_MASS = 1e-30  # [kg]
 MIN_MOMENT = 1e-100  # [kg m²]
@@ -140,7 +140,7 @@ def _mass_problems(model: BodyModel) -> Iterator[Problem]:
     if model.inertia is None:
         return
     smallest, middle, largest = sorted(model.inertia)
-    if 2 * largest > (smallest + middle + largest) * (1 + ROUNDING):
+    if 2 * largest > (smallest + middle + largest) * (1 + MASS_ROUNDING):
         message = f"no body can have the moments of {model.name!r}, {model.inertia}: "
         yield f"{message}one is larger than the sum of the others", "inertia", None
     elif not middle:
@@ -301,9 +301,11 @@ def copy_placements(
             message = f"{model.name!r} has more than {MAX_BODIES} copies"
             refuse("SIM061", message, "grid")
         x, y, z = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
-        cells = np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
-        cells[:, 0] += model.grid.stagger * (cells[:, 1] % 2)
-        points = cells * np.array(model.grid.spacing)
+        grid_positions = (
+            np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
+        )
+        grid_positions[:, 0] += model.grid.stagger * (grid_positions[:, 1] % 2)
+        points = grid_positions * np.array(model.grid.spacing)
     if points is None:
         if rotations is not None:
             refuse("SIM061", "rotations need points", "rotations")
@@ -314,10 +316,10 @@ def copy_placements(
         quaternions = np.asarray(rotations, np.float64)
         if quaternions.shape == (count, 4):
             quaternions = quaternions[:, [1, 2, 3, 0]]
-    for name, array, columns in (("points", points, 3), ("rotations", quaternions, 4)):
-        if array.shape != (count, columns) or not np.isfinite(array).all():
+    for name, array, width in (("points", points, 3), ("rotations", quaternions, 4)):
+        if array.shape != (count, width) or not np.isfinite(array).all():
             message = f"{name} of {model.name!r} have shape {array.shape} or are not "
-            refuse("SIM061", f"{message}finite: they must be {(count, columns)}", name)
+            refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
     if not quaternions.any(axis=1).all():
         message = f"a rotation of {model.name!r} is a zero quaternion"
         refuse("SIM061", message, "rotations")

@@ -60,7 +60,7 @@ class RigidStates:
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
         origins, rotations = bodies.body_frames(state.motion)
-        frames[bodies.dynamic] = np.concatenate([origins, rotations], axis=1)
+        frames[bodies.dynamic_indices] = np.concatenate([origins, rotations], axis=1)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             frames[i] = bodies.poses[i].at(t)
         return frames
@@ -79,7 +79,7 @@ class RigidStates:
         bodies, shapes = self.bodies, self.bodies.collision_shapes
         return SystemBodies(
             bodies.names,
-            bodies.dynamic,
+            bodies.dynamic_indices,
             bodies.masses,
             [float(bodies.kinds[k].bounding_radius) for k in bodies.kind_of_body],
             shapes.colliders,
@@ -142,8 +142,8 @@ class RigidStates:
         along unit vectors ``(K, 3)``.
         """
         motion, moments = state.motion[owners], self.bodies.moments[owners]
-        arms = np.cross(points - motion[:, :3], directions)
-        squares = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
+        lever_arms = np.cross(points - motion[:, :3], directions)
+        squares = so3.rotate(so3.conjugate(motion[:, 3:7]), lever_arms) ** 2
         rotational = np.zeros_like(squares)
         np.divide(squares, moments, out=rotational, where=moments > 0)
         return np.asarray(1 / self.bodies.masses[owners] + rotational.sum(axis=1))

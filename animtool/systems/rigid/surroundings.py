@@ -32,7 +32,7 @@ class BodyForces:
         self.is_variable = any(force.varies for force in forces)
         self._pushes = [
             (body, push)
-            for body, i in enumerate(bodies.dynamic.tolist())
+            for body, i in enumerate(bodies.dynamic_indices.tolist())
             for push in bodies.kinds[bodies.kind_of_body[i]].model.pushes
         ]
 
@@ -80,8 +80,8 @@ class BodyForces:
         for force in self.forces:
             if force.varies:
                 jacobians += force.jacobians(t, x, v, self._particles)
-        by_position, by_speed = jacobians / self._bodies.masses[:, None, None]
-        return by_position, by_speed
+        by_position, by_velocity = jacobians / self._bodies.masses[:, None, None]
+        return by_position, by_velocity
 
     def oscillation_rates(
         self, t: float, dt: float, body_states: FloatArray
@@ -154,7 +154,7 @@ class BodyForces:
     def _particles(self) -> ParticleState:
         """Dynamic bodies as particles, for force fields."""
         bodies = self._bodies
-        count = len(bodies.dynamic)
+        count = len(bodies.dynamic_indices)
         return ParticleState(
             np.arange(count),
             bodies.masses,
@@ -177,7 +177,7 @@ class StepColliders:
     def __init__(self, colliders: Colliders, first_collider: int = 0) -> None:
         self.colliders, self.first_collider = colliders, first_collider
         # Surface points of the last step, and all colliders with those surfaces.
-        self._cached: tuple[list[FloatArray], Colliders] | None = None
+        self._cached_colliders: tuple[list[FloatArray], Colliders] | None = None
 
     def kernel_arrays(self, t: float, end: float) -> tuple[Any, ...]:
         """Return the colliders of a step as kernel arrays."""
@@ -185,17 +185,19 @@ class StepColliders:
         if not sheets:
             return self.colliders.kernel_arrays(t, end)
         positions = [point for sheet in sheets for point in _end_points(sheet, t, end)]
-        cached = self._cached
-        if cached is None or any(
+        cached_colliders = self._cached_colliders
+        if cached_colliders is None or any(
             old_points is not new_points
-            for old_points, new_points in zip(cached[0], positions, strict=True)
+            for old_points, new_points in zip(
+                cached_colliders[0], positions, strict=True
+            )
         ):
             sheet_colliders = [_rigid_collider(sheet, t, end) for sheet in sheets]
             step_colliders = Colliders(
                 [*self.colliders, *sheet_colliders], (), self.colliders.bodies
             )
-            cached = self._cached = positions, step_colliders
-        return cached[1].kernel_arrays(t, end)
+            cached_colliders = self._cached_colliders = positions, step_colliders
+        return cached_colliders[1].kernel_arrays(t, end)
 
 
 def _end_points(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:

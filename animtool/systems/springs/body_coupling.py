@@ -154,7 +154,7 @@ class CoupledCell:
         """Yield the dynamic bodies that carry particles."""
         carriers = self._coupling.carriers
         for k, step in enumerate(self._steps):
-            dynamic = carriers[k].system.shared.dynamic
+            dynamic = carriers[k].system.shared.dynamic_indices
             for index, body in enumerate(dynamic.tolist()):
                 attachments = enumerate(self._coupling.attachments)
                 indices = [

@@ -45,12 +45,14 @@ class PointReader:
     def __init__(self, prim: Any) -> None:
         self.prim = prim
         self.is_instancer = bool(prim.IsA(UsdGeom.PointInstancer))
-        self.attr = prim.GetAttribute("positions" if self.is_instancer else "points")
+        self.points_attr = prim.GetAttribute(
+            "positions" if self.is_instancer else "points"
+        )
 
     @property
     def times(self) -> list[float]:
         """Time codes of the samples; empty if the points are static."""
-        return list(self.attr.GetTimeSamples())
+        return list(self.points_attr.GetTimeSamples())
 
     @property
     def codes(self) -> list[float]:
@@ -64,11 +66,11 @@ class PointReader:
 
     def points_at(self, time: Any) -> FloatArray:
         """Return the points at a time ``(N, 3)``, in local space and stage units."""
-        return number_rows(self.attr, 3, time)
+        return number_rows(self.points_attr, 3, time)
 
     def point_count(self) -> int:
         """Return the number of points at the earliest time."""
-        return len(self.attr.Get(Usd.TimeCode.EarliestTime()) or ())
+        return len(self.points_attr.Get(Usd.TimeCode.EarliestTime()) or ())
 
     def world_from_prim(self, time: Any) -> FloatArray:
         """Return the prim's transform at a time, for row vectors ``(4, 4)``."""

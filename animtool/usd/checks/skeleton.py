@@ -83,7 +83,7 @@ def _check_limits(prim: Any) -> Iterator[Fault]:
             low_name, high_name = (
                 f"limit:{name}:physics:{end}" for end in ("low", "high")
             )
-            yield from _check_pair(prim, low_name, high_name, reversible=True)
+            yield from _check_pair(prim, low_name, high_name, is_reversible=True)
     yield from _check_pair(
         prim, "physics:minDistance", "physics:maxDistance", unlimited_value=-1.0
     )
@@ -103,7 +103,7 @@ def _check_pair(
     lower_limit_name: str,
     upper_limit_name: str,
     *,
-    reversible: bool = False,
+    is_reversible: bool = False,
     unlimited_value: float | None = None,
 ) -> Iterator[Fault]:
     yield from _check_numbers(prim, lower_limit_name)
@@ -115,7 +115,7 @@ def _check_pair(
     if (
         lower_value is None
         or upper_value is None
-        or reversible
+        or is_reversible
         or unlimited_value in {lower_value, upper_value}
     ):
         return

@@ -269,11 +269,10 @@ def _check_indices(
 
 
 def _check_finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
-    bad_rows = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-    if len(bad_rows):
-        message = (
-            f"{len(bad_rows)} of {len(rows)} are not finite, the first is {bad_rows[0]}"
-        )
+    bad_indices = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad_indices):
+        message = f"{len(bad_indices)} of {len(rows)} are not finite, "
+        message += f"the first is {bad_indices[0]}"
         yield finding("USD243", attr.GetPath(), message)
 
 

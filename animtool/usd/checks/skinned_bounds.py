@@ -137,7 +137,7 @@ def _skinned_prims(binding: Any) -> list[_SkinnedPrim]:
         prim = query.GetPrim()
         if not prim.IsA(UsdGeom.PointBased):
             continue
-        points = PointReader(prim).attr.Get(Usd.TimeCode.EarliestTime())
+        points = PointReader(prim).points_attr.Get(Usd.TimeCode.EarliestTime())
         if not points:
             continue
         shapes = offsets = None

@@ -189,11 +189,11 @@ def _animation_take(
     placement = NO_PLACEMENT
     if skeleton is not None:
         placement = skeleton_placement(skeleton.GetPrim(), rig_data.rig, codes.tolist())
-    if not placement.full.is_identity:
+    if not placement.full_placement.is_identity:
         roots = np.array(rig_data.rig.roots, np.int64)
-        motion_channels = transform_motion(motion_channels, roots, placement.full).map(
-            Channel.compact
-        )
+        motion_channels = transform_motion(
+            motion_channels, roots, placement.full_placement
+        ).map(Channel.compact)
     rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rest_rig(rig, placement)
     take = Take(rig, _build_clock(subject, codes), motion_channels)

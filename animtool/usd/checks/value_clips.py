@@ -174,14 +174,14 @@ def _check_spans(
     clip_set: dict[str, Any], target: str, layers: list[Any], where: str
 ) -> Iterator[Fault]:
     """Check that all clips sample the same properties."""
-    properties = [
+    clip_properties = [
         None if layer is None else _sampled_properties(layer, target)
         for layer in layers
     ]
-    all_properties = set().union(*(p for p in properties if p is not None))
+    all_properties = set().union(*(p for p in clip_properties if p is not None))
     if clip_set.get("interpolateMissingClipValues"):
         return
-    for clip_index, names in enumerate(properties):
+    for clip_index, names in enumerate(clip_properties):
         missing_names = sorted(all_properties - names) if names is not None else []
         if missing_names:
             message = f"clip {clip_index} has no samples of {listed(missing_names)}"

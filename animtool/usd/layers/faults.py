@@ -164,8 +164,8 @@ def is_singular(matrices: FloatArray) -> BoolArray:
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
     volumes = np.abs(np.linalg.det(linear))
-    mask: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
-    return mask
+    is_degenerate: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
+    return is_degenerate
 
 
 def unknown_joint_faults(
@@ -185,12 +185,10 @@ def unknown_joint_faults(
 def duplicate_name_faults(attr: Any) -> Iterator[Fault]:
     """Yield a fault for duplicate joints or shapes of an animation."""
     names = token_array(attr)
-    repeated = duplicate_tokens(names)
-    if repeated:
-        message = (
-            f"{len(repeated)} of {len(names)} names are duplicates: {listed(repeated)}"
-        )
-        yield finding("USD207", attr.GetPath(), message)
+    repeated_names = duplicate_tokens(names)
+    if repeated_names:
+        message = f"{len(repeated_names)} of {len(names)} names are duplicates: "
+        yield finding("USD207", attr.GetPath(), message + listed(repeated_names))
 
 
 def transform_attributes(animation: Any) -> dict[str, Any]:
@@ -205,16 +203,17 @@ def transform_attributes(animation: Any) -> dict[str, Any]:
 def missing_transform_faults(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield a fault if an animation lacks translations, rotations or scales."""
     attributes = transform_attributes(animation)
-    unauthored = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
-    if len(unauthored) == len(attributes):
+    unauthored_names = [
+        n for n, attr in attributes.items() if not attr.HasAuthoredValue()
+    ]
+    if len(unauthored_names) == len(attributes):
         message = f"lists {counted(len(joints), 'joint')} but has no transforms"
         hint = "author all three, or remove joints"
         where = str(animation.GetPath())
         yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
-    elif unauthored:
-        message = (
-            f"no value for {listed(unauthored)}, but {counted(len(joints), 'joint')}"
-        )
+    elif unauthored_names:
+        message = f"no value for {listed(unauthored_names)}, but "
+        message += counted(len(joints), "joint")
         yield finding("USD201", animation.GetPath(), message)
 
 
@@ -222,8 +221,8 @@ def non_finite_faults(
     attr: Any, matrices: FloatArray, joints: Sequence[str]
 ) -> Iterator[Fault]:
     """Yield a fault if joint transforms are not finite."""
-    not_finite = np.flatnonzero(~(np.abs(matrices) <= MAX_TRANSFORM).all(axis=(1, 2)))
-    if len(not_finite):
-        names = [joints[i] for i in not_finite.tolist()]
-        message = f"{len(not_finite)} transforms are not finite: {listed(names)}"
+    bad_joints = np.flatnonzero(~(np.abs(matrices) <= MAX_TRANSFORM).all(axis=(1, 2)))
+    if len(bad_joints):
+        names = [joints[i] for i in bad_joints.tolist()]
+        message = f"{len(bad_joints)} transforms are not finite: {listed(names)}"
         yield finding("USD225", attr.GetPath(), message)

@@ -97,9 +97,9 @@ def round_to_float32(
     # suffices.
     if not error < _MAX_ROUNDING * meters_per_unit:
         with np.errstate(all="ignore"):
-            in_unit = points / meters_per_unit
-            in_float32 = in_unit.astype(np.float32)
-        _refuse_non_finite(in_unit, in_float32, "f", labels, time_codes)
+            unit_points = points / meters_per_unit
+            float32_points = unit_points.astype(np.float32)
+        _refuse_non_finite(unit_points, float32_points, "f", labels, time_codes)
     return rounded_points, error, frame, vertex
 
 
@@ -179,14 +179,14 @@ def _is_in_range(values: npt.NDArray[Any], limit: float) -> bool:
 
 def _refuse_non_finite(
     values: npt.NDArray[Any],
-    narrowed: npt.NDArray[Any],
+    narrowed_values: npt.NDArray[Any],
     type_code: str,
     labels: ValueLabels,
     time_codes: FloatArray | None,
 ) -> None:
     """Raise an error for the first value that would not be finite in the file."""
     limit = _TYPE_LIMITS[type_code]
-    indices = np.argwhere(~(np.abs(narrowed) <= limit))
+    indices = np.argwhere(~(np.abs(narrowed_values) <= limit))
     if not len(indices):
         return
     index = tuple(indices[0].tolist())

@@ -116,7 +116,7 @@ class Rounding:
     # Whether scales were rounded too, to UsdSkel's float16.
     has_rounded_scales: bool = False
 
-    def count(self, block: WrittenBlock) -> None:
+    def add_block(self, block: WrittenBlock) -> None:
         """Update the largest rounding errors with those of a block."""
         self.has_rounded_scales |= block.has_rounded_scales
         if block.error > self.error:

@@ -165,7 +165,7 @@ def asset_path(file: Path, folder: Path) -> str:
 @expects_format("USD001", "a USD file", USD_FILE_HINT)
 def find_layer(path: Path) -> Any:
     """Open a layer by its path."""
-    state = layer_state(path, recorded=True)
+    state = layer_state(path, is_recorded=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
         # An open layer may be older than its file.
@@ -178,10 +178,10 @@ def find_layer(path: Path) -> Any:
     return layer
 
 
-def layer_state(path: Path, *, recorded: bool = False) -> FileState:
+def layer_state(path: Path, *, is_recorded: bool = False) -> FileState:
     """Check the size of a file that USD may open, and return its file state.
 
-    ``recorded`` says whether a user or a document names it as an input.
+    ``is_recorded`` says whether a user or a document names it as an input.
     """
     with open_input(path, None, is_recorded=recorded) as file:
         is_binary = (
@@ -240,10 +240,12 @@ def new_layer(path: Path) -> Any:
     return Sdf.Layer.CreateAnonymous(".usdc" if is_package else path.suffix)
 
 
-def prim_spec(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
+def prim_spec(
+    layer: Any, path: str, type_name: str = "", *, is_over: bool = False
+) -> Any:
     """Return the spec of a prim; create it, with its ancestors as overs, if needed."""
     spec = Sdf.CreatePrimInLayer(layer, path)
-    spec.specifier = Sdf.SpecifierOver if over else Sdf.SpecifierDef
+    spec.specifier = Sdf.SpecifierOver if is_over else Sdf.SpecifierDef
     if type_name:
         spec.typeName = type_name
     return spec
@@ -255,11 +257,11 @@ def attribute_spec(
     type_name: Any,
     value: Any = None,
     *,
-    uniform: bool = False,
+    is_uniform: bool = False,
     interpolation: str = "",
 ) -> Any:
     """Create an attribute of a prim, with an optional default."""
-    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
+    variability = Sdf.VariabilityUniform if is_uniform else Sdf.VariabilityVarying
     attr = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
         if letter := float_letter(type_name):
@@ -352,7 +354,7 @@ def author_xform_order(spec: Any, *names: str) -> None:
     """Author the xformOpOrder of a prim."""
     order = Vt.TokenArray(names)
     types = Sdf.ValueTypeNames
-    attribute_spec(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+    attribute_spec(spec, "xformOpOrder", types.TokenArray, order, is_uniform=True)
 
 
 def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
@@ -405,7 +407,7 @@ class SampleWriter:
         attr: Any,
         convert: Callable[[Any], Any],
         *,
-        every_frame: bool = False,
+        writes_every_frame: bool = False,
         with_default: bool = True,
         are_quaternions: bool = False,
         noun: str = "",
@@ -414,7 +416,7 @@ class SampleWriter:
         self._attribute, self._path = attr, attr.path
         self._set_sample = attr.layer.SetTimeSample
         self._convert = convert
-        self._every_frame = every_frame
+        self._every_frame = writes_every_frame
         self._has_default = with_default
         self._letter = float_letter(attr.typeName)
         self._labels = ValueLabels(str(self._path), noun, names)
@@ -452,8 +454,8 @@ class SampleWriter:
             return values
         previous = values[0] if self._last_value is None else self._last_value
         if values.dtype == np.float32 and values.ndim == 3:
-            aligned = _kernels.continue_signs(values, previous)
-            values = values if aligned is None else aligned
+            aligned_values = _kernels.continue_signs(values, previous)
+            values = values if aligned_values is None else aligned_values
         else:
             values = so3.align_signs(values, previous).astype(values.dtype)
         self._last_value = values[-1]

@@ -43,7 +43,7 @@ SWING_RANGE = math.radians(1e-3), math.radians(179.0)
 def read_joint(
     source: PhysicsStage,
     prim: Any,
-    body_index: Mapping[str, int],
+    body_indices: Mapping[str, int],
     is_dynamic: Sequence[bool],
 ) -> PhysicsJoint | None:
     """Return a joint between bodies; None if it is disabled or has no bodies.
@@ -77,7 +77,9 @@ def read_joint(
             message = f"has {len(targets)} targets for body{side}: using {targets[0]}"
             source.add_notice(prim, message)
         target = targets[0] if targets else None
-        body, frame = _resolve_body(source, prim, side, target, local_frame, body_index)
+        body, frame = _resolve_body(
+            source, prim, side, target, local_frame, body_indices
+        )
         bodies.append(body)
         frames.append(frame)
     if bodies[0] < 0 and bodies[1] < 0:
@@ -120,7 +122,7 @@ def _resolve_body(
     side: int,
     target: Any,
     local_frame: FloatArray,
-    body_index: Mapping[str, int],
+    body_indices: Mapping[str, int],
 ) -> tuple[int, FloatArray]:
     """Return a body of a joint (-1 is the world), and the joint frame in its space."""
     if target is None:
@@ -139,7 +141,7 @@ def _resolve_body(
         ]
     )
     for ancestor in self_and_ancestors(prim):
-        body = body_index.get(str(ancestor.GetPath()))
+        body = body_indices.get(str(ancestor.GetPath()))
         if body is not None:
             return body, relative_pose(
                 source.pose(source.matrix(ancestor))[0], joint_pose

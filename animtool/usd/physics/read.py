@@ -139,9 +139,11 @@ def _read_mesh(
     if message := mesh_fault(points, counts, vertex_indices):
         source.fail(prim, message)
     points = points * scale * source.meters_per_unit
-    largest = float(np.abs(points).max())
-    if largest > MAX_NUMBER:
-        source.fail(prim, f"has a point at {largest:g} m; the limit is {MAX_NUMBER:g}")
+    max_coordinate = float(np.abs(points).max())
+    if max_coordinate > MAX_NUMBER:
+        source.fail(
+            prim, f"has a point at {max_coordinate:g} m; the limit is {MAX_NUMBER:g}"
+        )
     return points, triangulate(counts, vertex_indices).astype(np.int64)
 
 
@@ -218,7 +220,7 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
         )
         hint = "supported shapes are spheres, capsules, cubes and meshes"
         source.fail(root, message, hint)
-    body_index = {
+    body_indices = {
         str(body_prims[k].GetPath()): body for body, k in enumerate(shaped_indices)
     }
     is_dynamic = [not bodies[k].kinematic for k in shaped_indices]
@@ -226,7 +228,7 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
         joint
         for prim in prims
         if prim.IsA(UsdPhysics.Joint)
-        and (joint := read_joint(source, prim, body_index, is_dynamic)) is not None
+        and (joint := read_joint(source, prim, body_indices, is_dynamic)) is not None
     ]
     for prim in prims:
         if prim.IsA(UsdPhysics.CollisionGroup):

@@ -366,10 +366,10 @@ class _CharacterGroup:
         rest = self.track.cast.rig.rest_rotations[self.track.cast.animated]
         is_animated = is_animated | ((poses[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
         spec = self._author_animation(f"{path}/Anim", np.flatnonzero(is_animated))
-        rows = np.flatnonzero(is_written)
+        sample_frames = np.flatnonzero(is_written)
         rotations = spec.attributes["rotations"]
-        arrays = _vt_arrays(Vt.QuatfArray, poses[rows][:, is_animated])
-        write_samples(rotations, self.track.codes, rows, arrays)
+        arrays = _vt_arrays(Vt.QuatfArray, poses[sample_frames][:, is_animated])
+        write_samples(rotations, self.track.codes, sample_frames, arrays)
 
     def _author_animation(self, path: str, animated_indices: IntArray) -> Any:
         """Author a SkelAnimation whose joints keep their rest translations."""
@@ -379,7 +379,7 @@ class _CharacterGroup:
         spec.SetInfo("customData", {"animtool": {"thinned": True}})
         tokens = cast.rig.paths(joint_names(cast.rig.joints, 0).names)
         joint_tokens = Vt.TokenArray([tokens[j] for j in joints.tolist()])
-        attribute_spec(spec, "joints", _TYPES.TokenArray, joint_tokens, uniform=True)
+        attribute_spec(spec, "joints", _TYPES.TokenArray, joint_tokens, is_uniform=True)
         rest = (cast.rig.rest_translations[joints] / unit).astype(np.float32)
         translations = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rest))
         attribute_spec(spec, "translations", _TYPES.Float3Array, translations)
@@ -451,9 +451,9 @@ def _align_signs(rotations: Float32Array) -> Float32Array:
     """Return rotations ``(F, …, 4)`` with signs continuous over frames."""
     products = (rotations[1:] * rotations[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)
-    aligned = rotations.copy()
-    aligned[1:] *= signs[..., None]
-    return aligned
+    aligned_rotations = rotations.copy()
+    aligned_rotations[1:] *= signs[..., None]
+    return aligned_rotations
 
 
 def _changing_frames(values: Float32Array, tolerance: float) -> IntArray:

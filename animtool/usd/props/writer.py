@@ -25,8 +25,8 @@ from animtool.motion.transforms import Track, Transforms
 from animtool.usd.caches.writer import (
     ATTRIBUTES,
     AttributeKind,
-    FrameForm,
-    FramePrim,
+    FrameEncoder,
+    FramePrimWriter,
     author_values,
     bounds,
     bounds_corners,
@@ -131,7 +131,7 @@ def author_props(
         is_existing = placements.has_prim(path)
         type_name = "" if is_existing else track.type_name
         spec = prim_spec(
-            layer, placements.layer_path(path), type_name, over=is_existing
+            layer, placements.layer_path(path), type_name, is_over=is_existing
         )
         if track.reference is not None:
             name = asset_path(Path(track.reference.file), output.parent)
@@ -236,11 +236,11 @@ _XFORM_OPS = ("xformOp:translate", "xformOp:orient")
 PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # child prims that are not instances
 
 
-class InstancerForm(FrameForm[TransformsFrame]):
+class InstancerEncoder(FrameEncoder[TransformsFrame]):
     """Instances written as a PointInstancer."""
 
     type_name = "PointInstancer"
-    sampled = (
+    sampled_names = (
         "positions",
         "velocities",
         "ids",
@@ -252,7 +252,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
     points = "positions"
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+        self, writer: FramePrimWriter, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write the prototype meshes below the prim."""
         author_relationship(
@@ -261,7 +261,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: FramePrim,
+        writer: FramePrimWriter,
         frame: TransformsFrame,
         points: Float32Array,
         code: float,
@@ -285,7 +285,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
         }
 
 
-class XformsForm(FrameForm[TransformsFrame]):
+class XformsEncoder(FrameEncoder[TransformsFrame]):
     """Named instances: an Xform each, whose mesh references a prototype."""
 
     type_name = "Xform"
@@ -306,7 +306,7 @@ class XformsForm(FrameForm[TransformsFrame]):
             prim_spec(spec.layer, f"{spec.path}/{name}", "Xform")
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+        self, writer: FramePrimWriter, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write meshes, xformOpOrder, and transforms of static instances.
 
@@ -338,7 +338,7 @@ class XformsForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: FramePrim,
+        writer: FramePrimWriter,
         frame: TransformsFrame,
         points: Float32Array,  # noqa: ARG002
         code: float,  # noqa: ARG002
@@ -375,7 +375,7 @@ def instance_names(names: Sequence[str]) -> UsdNames:
 
 
 def _write_prototypes(
-    writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]
+    writer: FramePrimWriter, spec: Any, meshes: Sequence[MeshFrame]
 ) -> list[str]:
     """Write prototype meshes below a prim; return their paths."""
     scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")

@@ -212,7 +212,8 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
     if names and has_common_shape and not (take.joints and rig.joints):
         return
     take_joint, rig_joint = (
-        f"{excerpt(rig_.names[0])} …" if rig_.joints else "none" for rig_ in (take, rig)
+        f"{excerpt(each_rig.names[0])} …" if each_rig.joints else "none"
+        for each_rig in (take, rig)
     )
     message = f"no joint of the take ({take_joint}) is in the rig ({rig_joint})"
     hint = (
@@ -251,35 +252,35 @@ def match_shapes(
     if target_shapes is None:
         return tuple(shapes), []
     names_by_arkit_name = {arkit_name(name): name for name in target_shapes}
-    matches = [
+    matched_names = [
         name
         if name in target_shapes
         else names_by_arkit_name.get(arkit_name(name) or "", name)
         for name in shapes
     ]
     # If two shapes match one name, the second keeps its own name.
-    matches = [
-        name if name not in matches[:i] else shape_name
-        for i, (shape_name, name) in enumerate(zip(shapes, matches, strict=True))
+    matched_names = [
+        name if name not in matched_names[:i] else shape_name
+        for i, (shape_name, name) in enumerate(zip(shapes, matched_names, strict=True))
     ]
     where = str(target.path)
     original_names = usd_names or {}
     unknown_names = [
         name
-        for name in matches
+        for name in matched_names
         if name not in target_shapes and original_names.get(name) not in target_shapes
     ]
     message = f"{len(unknown_names)} shapes of the take are on no mesh of the rig: "
     hint = "their weights have no effect there"
     notices = _names_notice("USD114", message, unknown_names, where, hint)
     respelled_names = [
-        f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b
+        f"{a} as {b}" for a, b in zip(shapes, matched_names, strict=True) if a != b
     ]
     message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
     notices += _names_notice(
         "USD118", message, respelled_names, where, None, Severity.NOTE
     )
-    return tuple(matches), notices
+    return tuple(matched_names), notices
 
 
 def _rig_shapes(target: RigTarget) -> set[str] | None:

@@ -31,7 +31,7 @@ from animtool.usd.layers.faults import PrimLocation, bind_faults
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.meshes import SUBDIVISION
-from animtool.usd.rigs.placement import DROP, local_placement
+from animtool.usd.rigs.placement import DROP_PLACEMENT, local_placement
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     array_value,
@@ -130,7 +130,7 @@ def _read_mesh(
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
-    points = read_float_rows(PointReader(prim).attr, location, "USD265")
+    points = read_float_rows(PointReader(prim).points_attr, location, "USD265")
     if not len(points):
         location.fail("USD017", "the mesh has no points")
     normals = None
@@ -356,7 +356,9 @@ def _strand_points(
     counts = integer_array(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
-    values = read_float_rows(PointReader(curves.GetPrim()).attr, location, "USD265")
+    values = read_float_rows(
+        PointReader(curves.GetPrim()).points_attr, location, "USD265"
+    )
     if counts.min() < 2 or (counts != counts[0]).any() or counts.sum() != len(values):
         return None
     matrix = np.array(query.GetGeomBindTransform(), np.float64)
@@ -393,7 +395,7 @@ def read_source_meshes(
         rig = skeleton_rig(skeletons[0], path)
         rig_placement = local_placement(skeletons[0].GetPrim(), rig.rig)
         rest_placement = rig_placement.rest_placement
-        if placement == DROP:
+        if placement == DROP_PLACEMENT:
             rest_placement = rig_placement.upright_placement
         meshes = _stage_meshes(skeletons[0], rig, path, rest_placement)
         unskinned_notices = animated_mesh_notice(skeletons[0], str(path), placement)

@@ -21,7 +21,12 @@ from animtool.rig.parts import Subdivision
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
-from animtool.usd.caches.writer import FrameForm, FramePrim, author_values, bounds
+from animtool.usd.caches.writer import (
+    FrameEncoder,
+    FramePrimWriter,
+    author_values,
+    bounds,
+)
 from animtool.usd.layers.finite import ValueLabels, check_value, narrow_floats
 from animtool.usd.layers.names import RigPaths, distinct_names
 from animtool.usd.layers.sdf import (
@@ -68,11 +73,11 @@ def author_mesh(
         author_values(spec, {"doubleSided": True})
 
 
-class MeshForm(FrameForm[MeshFrame]):
+class MeshEncoder(FrameEncoder[MeshFrame]):
     """An animated mesh with normals and changing topology."""
 
     type_name = "Mesh"
-    sampled = ("points", "velocities", "extent", "normals")
+    sampled_names = ("points", "velocities", "extent", "normals")
 
     def topology(self, frame: MeshFrame) -> Mapping[str, IntArray]:
         """Return the topology attributes."""
@@ -85,13 +90,18 @@ class MeshForm(FrameForm[MeshFrame]):
         """Return whether the topology may change."""
         return frame.tears
 
-    def author_constants(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
+    def author_constants(
+        self,
+        writer: FramePrimWriter,  # noqa: ARG002
+        spec: Any,
+        frame: MeshFrame,
+    ) -> None:
         """Author subdivision scheme and sidedness."""
         author_mesh(spec, {}, is_closed=frame.closed)
 
     def values(
         self,
-        writer: FramePrim,
+        writer: FramePrimWriter,
         frame: MeshFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
@@ -217,7 +227,7 @@ def _author_skin(
     indices, weights = _pad_influences(influences)
     if skin.joints != tuple(tokens):
         joints = Vt.TokenArray([tokens[name] for name in skin.joints])
-        attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
+        attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, is_uniform=True)
     if (surface.geom_bind != np.eye(4)).any():
         bind = _stage_matrix(surface.geom_bind, meters_per_unit)
         attribute_spec(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
@@ -225,7 +235,7 @@ def _author_skin(
     method = _SKIN_METHODS[skin.method]
     if method != "classicLinear":
         name = "primvars:skel:skinningMethod"
-        attribute_spec(spec, name, _TYPES.Token, method, uniform=True)
+        attribute_spec(spec, name, _TYPES.Token, method, is_uniform=True)
     return _influence_notices(surface.name, report)
 
 
@@ -261,7 +271,7 @@ def _author_shapes(
         "skel:blendShapes",
         _TYPES.TokenArray,
         Vt.TokenArray(shape_names),
-        uniform=True,
+        is_uniform=True,
     )
     author_relationship(spec, "skel:blendShapeTargets", *targets)
     for target, shape in zip(targets, surface.shapes, strict=True):
@@ -280,23 +290,23 @@ def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> Non
         ],
         axis=0,
     )
-    vertices, selected_rows = shape.vertices, slice(None)
-    if vertices is None and is_displaced.mean() < MAX_INDEXED_FRACTION:
-        vertices = np.flatnonzero(is_displaced)
+    vertex_indices, selected_rows = shape.vertices, slice(None)
+    if vertex_indices is None and is_displaced.mean() < MAX_INDEXED_FRACTION:
+        vertex_indices = np.flatnonzero(is_displaced)
         selected_rows = is_displaced
 
     def author_rows(name: str, rows: FloatArray) -> Any:
         """Author the selected rows of an array, and return the attribute."""
         values = _to_float32(rows[selected_rows], f"{spec.path}.{name}")
         array = Vt.Vec3fArray.FromNumpy(values)
-        return attribute_spec(spec, name, _TYPES.Vector3fArray, array, uniform=True)
+        return attribute_spec(spec, name, _TYPES.Vector3fArray, array, is_uniform=True)
 
     author_rows("offsets", shape.deltas / meters_per_unit)
     if shape.normals is not None:
         author_rows("normalOffsets", shape.normals)
-    if vertices is not None:
-        points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
-        attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
+    if vertex_indices is not None:
+        points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertex_indices, np.int32))
+        attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, is_uniform=True)
     for i, inbetween in enumerate(inbetweens):
         name = f"inbetweens:step_{i + 1}"
         attr = author_rows(name, inbetween.deltas / meters_per_unit)

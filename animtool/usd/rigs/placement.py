@@ -30,17 +30,17 @@ from animtool.usd.rigs.prims import decompose, sample_times, self_and_ancestors,
 
 # Tolerance of scale factors, and of cosines between axes, in float32.
 SCALE_TOLERANCE = 1e-5
-KEEP, DROP = "keep", "drop"
+KEEP_PLACEMENT, DROP_PLACEMENT = "keep", "drop"
 
 
 @dataclass(frozen=True, slots=True)
 class SkeletonPlacement:
     """Placement of a Skeleton over the frames of a take."""
 
-    full: Placement  # all transforms above its joints
+    full_placement: Placement  # all transforms above its joints
     # Transforms above its joints without root motion of the SkelRoot: those that a
     # layer over the rig keeps.
-    fixed: Placement
+    fixed_placement: Placement
     # Why joints cannot represent the transform; empty if they can.
     unsupported_reason: str = ""
     # Mismatch between the unit or up axis of rig and stage that no transform converts;
@@ -68,12 +68,14 @@ class SkeletonPlacement:
     @property
     def motion(self) -> Placement:
         """Placement per frame relative to `heading_placement`."""
-        heading, _ = self.fixed.split(self._up)
-        return heading.inverse().after(self.full).simplified()
+        heading, _ = self.fixed_placement.split(self._up)
+        return heading.inverse().after(self.full_placement).simplified()
 
     def _split_rest(self) -> tuple[Placement, Placement]:
-        first_full = self.full.first()
-        return self.fixed.first().split(self._up)[0], first_full.split(self._up)[1]
+        first_full = self.full_placement.first()
+        return self.fixed_placement.first().split(self._up)[0], first_full.split(
+            self._up
+        )[1]
 
 
 def animated_ancestors(skeleton: Any) -> list[Any]:
@@ -335,7 +337,7 @@ def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) 
     position and heading.
     """
     sized_rig = transform_rig(rig, placement.upright_placement)
-    if choice == DROP:
+    if choice == DROP_PLACEMENT:
         return sized_rig
     heading_placement = placement.heading_placement
     rig_at_rest = transform_rig(rig, placement.rest_placement)

@@ -133,14 +133,14 @@ def author_rig(
     prim_spec(layer, paths.root, "SkelRoot")
     spec = prim_spec(layer, paths.skeleton, "Skeleton")
     tokens = Vt.TokenArray(rig.paths(names.names))
-    attribute_spec(spec, "joints", _TYPES.TokenArray, tokens, uniform=True)
+    attribute_spec(spec, "joints", _TYPES.TokenArray, tokens, is_uniform=True)
     bind_world = bind_matrices(rig)
     bind = _row_matrices(bind_world[:, :3, 3] / meters_per_unit, bind_world[:, :3, :3])
     local_linear = so3.to_matrix(rig.rest_rotations)
     rest = _row_matrices(rig.rest_translations / meters_per_unit, local_linear)
     matrices = _TYPES.Matrix4dArray
-    attribute_spec(spec, "bindTransforms", matrices, bind, uniform=True)
-    attribute_spec(spec, "restTransforms", matrices, rest, uniform=True)
+    attribute_spec(spec, "bindTransforms", matrices, bind, is_uniform=True)
+    attribute_spec(spec, "restTransforms", matrices, rest, is_uniform=True)
     if any(entry.points is not None for entry in rig.attach):
         paths_by_name = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, paths_by_name, meters_per_unit)
@@ -243,16 +243,16 @@ def joint_extras_json(rig: Rig, names: list[str]) -> str:
 
 
 def bind_animation(
-    layer: Any, paths: RigPaths, *, bind_skeleton: bool, bind_source: bool = True
+    layer: Any, paths: RigPaths, *, binds_skeleton: bool, binds_source: bool = True
 ) -> None:
     """Apply SkelBindingAPI; bind the animation, the skeleton, or both."""
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
-        spec = prim_spec(layer, paths.binding, over=True)
+        spec = prim_spec(layer, paths.binding, is_over=True)
     apply_schemas(spec, ["SkelBindingAPI"])
-    if bind_source:
+    if binds_source:
         author_relationship(spec, "skel:animationSource", paths.animation)
-    if bind_skeleton:
+    if binds_skeleton:
         author_relationship(spec, "skel:skeleton", paths.skeleton)
 
 
@@ -287,14 +287,16 @@ def author_strands(
         if tokens is not None:
             apply_schemas(spec, ["SkelBindingAPI"])
             joint = Vt.TokenArray([tokens[entry.joint]])
-            attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joint, uniform=True)
+            attribute_spec(
+                spec, "skel:joints", _TYPES.TokenArray, joint, is_uniform=True
+            )
             author_influences(spec, np.zeros((1, 1)), np.ones((1, 1)), "constant")
 
 
 def _author_curves(spec: Any, points: FloatArray, width: float) -> None:
     from pxr import UsdGeom
 
-    from animtool.usd.caches.writer import POLYLINE, author_values, author_width
+    from animtool.usd.caches.writer import POLYLINE_TOKENS, author_values, author_width
 
     count, length = points.shape[:2]
     labels = ValueLabels(f"{spec.path}.points", "point")
@@ -304,7 +306,7 @@ def _author_curves(spec: Any, points: FloatArray, width: float) -> None:
     curve_points, widths = Vt.Vec3fArray.FromNumpy(points_array), Vt.FloatArray([width])
     values = {
         "extent": np.array(UsdGeom.Curves.ComputeExtent(curve_points, widths)),
-        **POLYLINE,
+        **POLYLINE_TOKENS,
         "curveVertexCounts": np.full(count, length, np.int32),
         "points": points_array,
     }

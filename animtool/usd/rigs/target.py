@@ -114,8 +114,8 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
     operations = UsdGeom.Xformable(root).GetOrderedXformOps()
     placing_ops, motion_ops = (
-        [str(op.GetOpName()) for op in operations if is_root_motion(op) is moves]
-        for moves in (False, True)
+        [str(op.GetOpName()) for op in operations if is_root_motion(op) is is_motion]
+        for is_motion in (False, True)
     )
     skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
     notices = composition_notices(stage, str(path))

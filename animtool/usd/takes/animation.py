@@ -158,17 +158,17 @@ def _match_joints(
 
 def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
     """Return a warning if time codes look like frames but count seconds (TAKE009)."""
-    shown_rate = float(stage.GetFramesPerSecond())
+    displayed_rate = float(stage.GetFramesPerSecond())
     if not stage.HasAuthoredMetadata("framesPerSecond") or clock.count < MIN_FRAMES:
         return []
-    if clock.step < 1 or not shown_rate >= MIN_RATE_RATIO * clock.fps:
+    if clock.step < 1 or not displayed_rate >= MIN_RATE_RATIO * clock.fps:
         return []
-    seconds = float((clock.count - 1) * clock.step / clock.fps)
+    duration = float((clock.count - 1) * clock.step / clock.fps)
     message = (
         f"timeCodesPerSecond is {float(clock.fps):g}, so {clock.count} frames last "
-        f"{duration_text(seconds)}; framesPerSecond is {shown_rate:g}"
+        f"{duration_text(duration)}; framesPerSecond is {displayed_rate:g}"
     )
-    hint = f"if its time codes are frames, set timeCodesPerSecond = {shown_rate:g}"
+    hint = f"if its time codes are frames, set timeCodesPerSecond = {displayed_rate:g}"
     return [Fault("TAKE009", message, where.path, (), hint, Severity.WARNING)]
 
 

@@ -195,9 +195,9 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
     joints = skeleton.GetJointsAttr().Get() or []
     collapsed_layer = Sdf.Layer.CreateAnonymous(".usda")
-    animation_spec = prim_spec(collapsed_layer, job.paths.animation, over=True)
+    animation_spec = prim_spec(collapsed_layer, job.paths.animation, is_over=True)
     types = Sdf.ValueTypeNames
-    attribute_spec(animation_spec, "joints", types.TokenArray, joints, uniform=True)
+    attribute_spec(animation_spec, "joints", types.TokenArray, joints, is_uniform=True)
     for name, kind, value in (
         ("translations", types.Float3Array, (0, 0, 0)),
         ("rotations", types.QuatfArray, Gf.Quatf.GetIdentity()),

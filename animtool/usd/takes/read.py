@@ -33,7 +33,7 @@ from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_shapes
 from animtool.usd.rigs.placement import (
-    DROP,
+    DROP_PLACEMENT,
     NO_PLACEMENT,
     SkeletonPlacement,
     animated_ancestors,
@@ -180,7 +180,7 @@ def read_character(
         _merge_stored_rig(stream, skeletons[0], skeleton, path)
     where = PrimLocation.from_prim(path, skeleton_prim or animation_prim)
     stream.rig = apply_recorded_rest(stream.rig, skeleton_prim, animation_prim, where)
-    if choice == DROP:
+    if choice == DROP_PLACEMENT:
         stream = _drop_placement(stream, placement, skeleton_prim, str(path))
     else:
         stream.rig = rest_rig(stream.rig, placement)
@@ -200,7 +200,7 @@ def _find_placement(
     if prim is None:
         return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
-    if choice != DROP:
+    if choice != DROP_PLACEMENT:
         refuse_unsupported(placement, where)
     notices = unsupported_notice(placement, where)
     notices += unit_mismatch_notice(placement, where.path or "")
@@ -211,7 +211,9 @@ def _apply_placement(
     motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
 ) -> Motion:
     """Apply the stage placement of a rig to its motion."""
-    applied_placement = placement.motion if choice == DROP else placement.full
+    applied_placement = (
+        placement.motion if choice == DROP_PLACEMENT else placement.full_placement
+    )
     if applied_placement.is_identity:
         return motion
     roots = np.array(rig.roots, np.int64)
@@ -231,7 +233,7 @@ def _drop_placement(
     stream.notices += placement_notice(
         source_rig, path, is_kept=False, is_in_joints=local_rig.has_animated_parents
     )
-    stream.rig = rest_rig(local_rig, placement, DROP)
+    stream.rig = rest_rig(local_rig, placement, DROP_PLACEMENT)
     heading_placement = stream.rig.placement
     stream = remove_placement(stream)
     stream.rig = replace(stream.rig, has_animated_parents=False)
@@ -258,7 +260,7 @@ def _dropped_placement_reader(
             # function.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
             current_placement = skeleton_placement(skeleton, rig, codes.tolist())
-        heading_placement, _ = current_placement.fixed.split(rig.up)
+        heading_placement, _ = current_placement.fixed_placement.split(rig.up)
         if recorded_placement is None:
             return heading_placement
         return heading_placement.after(recorded_placement)

@@ -126,8 +126,10 @@ def author_curve(
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("at least one curve needs a key")
     spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
-    parts = [_build_segments(curves, i) for i in range(len(curves.times) - 1)]
-    segments = [segment for segment_parts in parts for segment in segment_parts]
+    segments_by_key = [_build_segments(curves, i) for i in range(len(curves.times) - 1)]
+    segments = [
+        segment for segment_parts in segments_by_key for segment in segment_parts
+    ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
         for knot in _build_knots(segments, curves, where):
             spline.SetKnot(knot)
@@ -143,7 +145,7 @@ def author_curve(
     attr.custom = True
     attr.SetSpline(spline)
     difference, seam = _measure_error(spline, curves, evaluate)
-    split_count = sum(len(segment_parts) > 1 for segment_parts in parts)
+    split_count = sum(len(segment_parts) > 1 for segment_parts in segments_by_key)
     return CurveReport(name, len(spline.GetKnots()), split_count, difference, seam)
 
 
@@ -290,11 +292,11 @@ def _build_extrapolation(
 ) -> Any:
     extrapolation = Ts.Extrapolation(_EXTRAPOLATION[mode])
     if mode is Extrapolation.LINEAR:
-        edge = float(curves.times[0 if direction < 0 else -1])
-        magnitude = max(1.0, abs(edge), float(np.ptp(curves.times)))
-        far_time = edge + direction * 1024.0 * magnitude
-        edge_value, far_value = evaluate(np.array([edge, far_time])).tolist()
-        slope = (far_value - edge_value) / (far_time - edge)
+        edge_time = float(curves.times[0 if direction < 0 else -1])
+        magnitude = max(1.0, abs(edge_time), float(np.ptp(curves.times)))
+        far_time = edge_time + direction * 1024.0 * magnitude
+        edge_value, far_value = evaluate(np.array([edge_time, far_time])).tolist()
+        slope = (far_value - edge_value) / (far_time - edge_time)
         check_value(slope, "d", ValueLabels(where, "the slope outside the keys"))
         extrapolation.slope = slope
     return extrapolation

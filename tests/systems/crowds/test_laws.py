@@ -58,7 +58,7 @@ def test_rows_between_rows_and_behind_the_last(columns: int) -> None:
     found = sample_rows(table, at)[:, 1, 0]
     assert_allclose(found[:3], [1.0, quarter, half])
     assert_allclose(found[3], 0.5)
-    again = sample_rows(table, at[:4], cyclic=True)[:, 0, 0]
+    again = sample_rows(table, at[:4], is_cyclic=True)[:, 0, 0]
     assert_allclose(again[3], 0.75)
 
 

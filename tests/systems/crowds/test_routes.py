@@ -48,13 +48,15 @@ def test_who_is_outside_faces_the_sides_that_he_is_beyond() -> None:
         ([10.5, -1.9], [3, 7, 11]),
         ([9.0, -9.0], [0, 1, 2, 3, 4, 8]),
     ):
-        assert own.border_facing(np.array(point)).tolist() == nodes
+        assert own.border_nodes_facing(np.array(point)).tolist() == nodes
 
 
 def test_edges_are_half_a_cell_from_what_is_not_free() -> None:
     """Of a hall of 3 by 5 nodes: its sides are a cell from the nodes at them."""
     own = grid(".....", ".....", ".....")
-    gaps, ways = own.edges(np.array([[10.5, -3.0], [10.0, -3.0], [10.25, -3.0]]))
+    gaps, ways = own.obstacle_distances(
+        np.array([[10.5, -3.0], [10.0, -3.0], [10.25, -3.0]])
+    )
     assert_allclose(gaps, [0.75, 0.25, 0.5])
     assert_allclose(ways[1:], [[1, 0], [1, 0]])
     rows, columns, shares = own.cell_corners(np.array([[10.1, -3.6], [99.0, -99.0]]))

@@ -260,15 +260,15 @@ def test_rules_without_an_effect_are_left_out() -> None:
     for one in none:
         kept = species(**{**none, one: {"weight": 2.0}})
         (rule,) = build_rules(members(rows, kept))
-        assert rule.members is rule.others is None
+        assert rule.members is rule.targets is None
     whole = {"vision": {"radius": 3, "angle": 360}}
     friends = [species(**whole, joins=["b"]), species(name="b", joins=[])]
     one, other = build_rules(members(rows, *friends))
     assert one.members is not None
-    assert (one.members.tolist(), one.others, one.cosine) == ([0, 1], None, -1.0)
+    assert (one.members.tolist(), one.targets, one.view_cosine) == ([0, 1], None, -1.0)
     assert (one.nearest, one.radius) == (friends[0].vision.nearest or 0, 3)
-    assert other.others is not None
-    assert other.others.tolist() == [2, 3]
+    assert other.targets is not None
+    assert other.targets.tolist() == [2, 3]
     # Nobody is there to heed.
     empty = Members(friends, [4, 4], [{}] * 2, 0.0, rows, rows)
     (first,) = build_rules(empty)
@@ -301,13 +301,15 @@ def test_as_many_pairs_as_each_may_have_are_looked_at() -> None:
 def test_nobody_keeps_a_distance_alone_or_without_a_size() -> None:
     rows = np.arange(6.0).reshape(2, 3)
     least = {"repulsion": {"weight": 0, "least": 0.4}}
-    assert Spacing.of(members(rows[:1], species(radius=0.3)), None) is None
-    assert Spacing.of(members(rows, species()), None) is None
+    assert Spacing.for_members(members(rows[:1], species(radius=0.3)), None) is None
+    assert Spacing.for_members(members(rows, species()), None) is None
     for model, each in ((species(radius=0.3), 0.6), (species(**least), 0.4)):
-        own = Spacing.of(members(rows, model), None)
+        own = Spacing.for_members(members(rows, model), None)
         assert own is not None
         assert own.distances.tolist() == [each] * 2
-    mixed = Spacing.of(members(rows, species(), species(name="b", radius=0.3)), None)
+    mixed = Spacing.for_members(
+        members(rows, species(), species(name="b", radius=0.3)), None
+    )
     assert mixed is not None
     assert mixed.distances.tolist() == [0, 0.6]
     # Of two the mean of both, and a hair more; each goes half of the way.
@@ -418,7 +420,7 @@ def test_who_sees_a_narrow_part_sees_no_more() -> None:
     rows = np.arange(6.0).reshape(2, 3)
     for angle, cosine in ((36.0, 0.9510565), (180.0, 0.0), (360.0, -1.0)):
         (rule,) = build_rules(members(rows, species(vision={"angle": angle})))
-        assert rule.cosine == pytest.approx(cosine, abs=1e-6)
+        assert rule.view_cosine == pytest.approx(cosine, abs=1e-6)
 
 
 def test_all_species_that_cannot_begin_are_told_at_once() -> None:
@@ -427,9 +429,9 @@ def test_all_species_that_cannot_begin_are_told_at_once() -> None:
     place = {"place": BoxShape((9.0, 9.0, 9.0)), "poses": Poses.fixed()}
     wrong = {**place, "velocities": np.zeros((2, 3)), "points": np.zeros((3, 3))}
     with pytest.raises(AnimtoolError) as error:
-        Members.of(spec, [wrong, place, wrong], 0.0)
+        Members.from_spec(spec, [wrong, place, wrong], 0.0)
     faults = error.value.faults
     assert [fault.code for fault in faults] == ["SIM060", "SIM060"]
     assert ["'a'" in faults[0].message, "'c'" in faults[1].message] == [True, True]
-    good = Members.of(spec, [place] * 3, 0.0)
+    good = Members.from_spec(spec, [place] * 3, 0.0)
     assert good.end_indices == [2, 4, 6]

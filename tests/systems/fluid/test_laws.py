@@ -253,7 +253,9 @@ def test_sheets_are_looked_at_before_they_moved_half_a_spacing() -> None:
         (0.1, 99, 0.01, 1),
         (0.1, 99, 0.1, 2),
     ):
-        around = SimpleNamespace(sheets=[1], surfaces=SimpleNamespace(fastest=fastest))
+        around = SimpleNamespace(
+            sheets=[1], surfaces=SimpleNamespace(max_speed=fastest)
+        )
         assert own.collision_substeps(around, parts, dt) == pieces  # type: ignore[arg-type]
     assert own.collision_substeps(Colliders([]), 9, 1.0) == 1
 

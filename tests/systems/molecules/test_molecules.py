@@ -350,7 +350,7 @@ def test_atoms_of_unequal_mass_are_as_warm_and_rest_as_a_whole() -> None:
     spec = MoleculesModel(
         name="it", species=kinds, box=[4, 4, 4], step=0.001, temperature=120
     )
-    atoms = Atoms.of(spec, [{}, {}], PeriodicBox(spec))
+    atoms = Atoms.from_spec(spec, [{}, {}], PeriodicBox(spec))
     m, v = atoms.masses, atoms.velocities
     assert np.abs(m @ v).max() < 1e-10 * (m @ np.abs(v)).max()
     twice = m * (v**2).sum(axis=1)

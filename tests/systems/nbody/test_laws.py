@@ -96,7 +96,7 @@ def test_without_softening_steps_are_finer(softening: float, phase: float) -> No
     made = nbody(X, 0 * X, MASSES, 2.0, softening, 0.01, substeps=8)
     for turned, parts in ((1.01, 2), (7.9, 8), (8.0, 16), (np.inf, 16), (0.0, 1)):
         rates = np.array([0.0, (turned * phase / 0.01) ** 2])
-        assert made._substeps_for(rates, 0.01) == parts
+        assert made._required_substeps(rates, 0.01) == parts
 
 
 @pytest.mark.parametrize("parts", [1, 4])
@@ -314,7 +314,7 @@ def test_galaxies_are_turned_and_put_and_moved() -> None:
     made = build(spec, _Context({}))
     assert made.has_many_species
     assert made.species.tolist() == [0] * 20 + [1]
-    assert_array_equal(made.written_bodies, np.arange(21))
+    assert_array_equal(made.written_indices, np.arange(21))
     assert nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01).has_many_species is False
 
 

@@ -35,7 +35,7 @@ from animtool.systems.particles.moving import (
 def some(masses: list[float], births: list[float] | None = None, first: int = 0) -> Any:
     """Return particles without radii, ids from one on."""
     count = len(masses)
-    return ParticleState.lasting(
+    return ParticleState.everlasting(
         first + np.arange(count),
         np.array(masses),
         0.1,
