@@ -150,8 +150,10 @@ def integrate(
         notices.append(stop_warning(integrator, options, stats))
     elif options.estimate:
         fresh_start = replace(start, memory=None, trial=None)
-        refined = integrate(system, sample_times, finer_options(options), fresh_start)
-        stats = replace(stats, error=_refinement_error(refined, states))
+        finer_trajectory = integrate(
+            system, sample_times, finer_options(options), fresh_start
+        )
+        stats = replace(stats, error=_refinement_error(finer_trajectory, states))
     return Trajectory(
         sample_times[: len(states)],
         np.array(states),

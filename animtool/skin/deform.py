@@ -185,7 +185,7 @@ def deform_blocks(
     for begin in range(0, frame_count, block_size):
         end = min(begin + block_size, frame_count)
         first, stop = max(begin - margin, 0), min(end + margin, frame_count)
-        deformed = _deform_into(
+        deformed_frames = _deform_into(
             mesh,
             None if weights_array is None else weights_array[first:stop],
             None
@@ -195,7 +195,7 @@ def deform_blocks(
             None if frame_times is None else frame_times[first:stop],
             buffers,
         )
-        yield deformed.select(slice(begin - first, end - first))
+        yield deformed_frames.select(slice(begin - first, end - first))
 
 
 def block_frames(vertex_count: int) -> int:
@@ -241,12 +241,12 @@ def _deform_points(
     is_skinned = mesh.skin is not None and world is not None
     out = None if buffers is None else buffers.points[:frame_count]
     if mesh.shapes is not None and weights is not None and weights.any():
-        unskinned = (
+        unskinned_points = (
             buffers.unskinned_values[:frame_count]
             if is_skinned and buffers is not None
             else out
         )
-        points = blend_points(mesh.shapes, weights, out=unskinned)
+        points = blend_points(mesh.shapes, weights, out=unskinned_points)
     if mesh.skin is not None and world is not None:
         return skin_points(mesh.skin, points, world, out=out)
     return np.ascontiguousarray(

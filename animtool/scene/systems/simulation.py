@@ -120,7 +120,7 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     with open_states(path) as saved_states:
         run.state = saved_states.read("", state_clock(member, run), run.state)
     if isinstance(run.simulation, ChecksResumedState):
-        t = run.step_time(run.state.steps)
+        t = run.step_time(run.state.step_count)
         reason = run.simulation.incompatibility(run.state.state, t)
         if reason:
             message = f"its state does not match: {reason}"

@@ -107,7 +107,7 @@ def _trial(
         nonlocal max_points
         method, budget = setting.method, None
         if not spec.has_trial_settings:
-            is_other = method != trial_settings.chosen.method
+            is_other = method != trial_settings.configured_setting.method
             budget = _evaluation_limit(method, max_points, is_other_method=is_other)
         changes = trial_settings.changes(setting)
         outcome = _outcome(run_entries(members, rebuild(), changes, budget), times)
@@ -119,7 +119,7 @@ def _trial(
         " + ".join(member.name for member in members),
         " + ".join(dict.fromkeys(member.kind for member in members)),
         float(times[-1]) + max(member.setup.spec.preroll for member in members),
-        trial_settings.chosen,
+        trial_settings.configured_setting,
         trial_settings.settings,
         trial_settings.references,
         run,
@@ -227,7 +227,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
             status, reason, stable = stats.status, stats.reason, stats.stable_step
     seconds = time.perf_counter() - start_time
     last_diagnostics = run.simulation.diagnostics(
-        run.state.state, run.step_time(run.state.steps)
+        run.state.state, run.step_time(run.state.step_count)
     )
     known_energies = [energy for energy in energies if energy is not None]
     complete = len(known_energies) == len(snapshots) and _has_constant_count(snapshots)

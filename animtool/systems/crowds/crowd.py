@@ -108,17 +108,19 @@ class Crowd:
     def initial(self) -> CrowdState:
         """Return the initial state, with headings along the preferred velocities."""
         x, progress = self.start_points, self.steering.initial()
-        at_rest = np.zeros_like(x)
-        preferred = self.steering.preferred_velocities(np.inf, self.begin, progress, x)
-        headings = np.arctan2(preferred[:, 0], preferred[:, 1])
+        zero_velocities = np.zeros_like(x)
+        preferred_velocities = self.steering.preferred_velocities(
+            np.inf, self.begin, progress, x
+        )
+        headings = np.arctan2(preferred_velocities[:, 0], preferred_velocities[:, 1])
         bodies = None
         if self.cast is not None:
-            motion = AgentMotion(x, at_rest, headings)
+            motion = AgentMotion(x, zero_velocities, headings)
             bodies = self.cast.initial(motion, self.agents.clip_phases)
         falls = (
             None if self.fall_simulator is None else self.fall_simulator.empty_falls()
         )
-        return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
+        return CrowdState(x, zero_velocities, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
         """Return the state after a step [s]."""
@@ -126,9 +128,11 @@ class Crowd:
         if not len(agents):
             return state
         x, v = state.points, state.velocities
-        preferred = self.steering.preferred_velocities(t, self.begin, state.progress, x)
+        preferred_velocities = self.steering.preferred_velocities(
+            t, self.begin, state.progress, x
+        )
         fractions = -np.expm1(-dt / self._relaxation_times)[:, None]
-        relaxed_velocities = v + (preferred - v) * fractions
+        relaxed_velocities = v + (preferred_velocities - v) * fractions
         walls = self.obstacles.walls(t, dt, x)
         has_fallen = np.zeros(len(x), np.bool_)
         if state.falls is not None:
@@ -150,7 +154,9 @@ class Crowd:
             tolerance=OVERLAP_TOLERANCE * float(agents.radii.min()),
         )  # fmt: skip
         progress = self.steering.advance(state.progress, points, dt)
-        headings = self._rotate_headings(state.headings, preferred, velocities, dt)
+        headings = self._rotate_headings(
+            state.headings, preferred_velocities, velocities, dt
+        )
         bodies, falls = state.bodies, state.falls
         if self.cast is not None and bodies is not None:
             before, after = (
@@ -165,9 +171,9 @@ class Crowd:
             bodies = replace(bodies, shoulders=shoulders)
             if self.fall_simulator is not None and falls is not None:
                 is_falling = (speeds > self.spec.impact.fall) & ~has_fallen
-                new_falls = np.flatnonzero(is_falling)
-                if len(new_falls):
-                    falls = self._add_falls(state, falls, new_falls, dt)
+                falling_agents = np.flatnonzero(is_falling)
+                if len(falling_agents):
+                    falls = self._add_falls(state, falls, falling_agents, dt)
                 falls = self.fall_simulator.step(falls, t, dt)
         _check_finite(t + dt, points, headings)
         overlap = max(state.overlap, overlap)

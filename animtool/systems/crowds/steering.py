@@ -158,8 +158,8 @@ class Steering:
             inner_distances = np.maximum(distances - INNER_RADIUS * radius, 0.0)
             inward_speeds = inner_distances / STOPPING_TIME
             speeds = np.where(is_waiting, np.minimum(speeds, inward_speeds), speeds)
-        preferred = directions * speeds[:, None]
-        return self._keep_formation(preferred, is_queued | is_waiting, x)
+        velocities = directions * speeds[:, None]
+        return self._keep_formation(velocities, is_queued | is_waiting, x)
 
     def _keep_formation(
         self, preferred_velocities: FloatArray, is_excluded: BoolArray, x: FloatArray

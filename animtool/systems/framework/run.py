@@ -38,7 +38,7 @@ STEP_TOLERANCE = 1e-9
 class ReachedState(Generic[State]):
     """A state, and the number of steps from the start to it."""
 
-    steps: int
+    step_count: int
     state: State
 
 
@@ -167,7 +167,7 @@ class SimulationRun(EntryRun):
         self._pullers: list[tuple[CarrierBodies, Any]] = []
         # States at the start of the next step after pushes, by step.
         self._pushed_states: dict[int, ReachedState[Any]] = {}
-        start_time = self.step_time(self.state.steps)
+        start_time = self.step_time(self.state.step_count)
         self.last_sample: tuple[Any, float] = self.state.state, start_time
         self._last_time: float | None = None  # last requested time [s]
         stepper = simulation if isinstance(simulation, ManySteps) else None
@@ -179,10 +179,10 @@ class SimulationRun(EntryRun):
             return self.last_sample
         steps = self.advance(t)
         start = self.state
-        if steps < start.steps:
+        if steps < start.step_count:
             # Systems coupled to it may have advanced it beyond the frame.
             earlier_states = [
-                past for past in self._past_states or () if past.steps <= steps
+                past for past in self._past_states or () if past.step_count <= steps
             ]
             if not earlier_states:
                 message = f"time {t:g} s is before that of the simulation"
@@ -207,11 +207,13 @@ class SimulationRun(EntryRun):
         steps = self.advance(t)
         start = self.step_time(steps)
         is_within = t - start > STEP_TOLERANCE * self.step_length
-        if not is_within or steps != self.state.steps or t < self.begin:
+        if not is_within or steps != self.state.step_count or t < self.begin:
             return None
         end = self.step_time(steps + 1)
         wrenches = self.simulation.pulls(self.state.state, start)
-        index = [pushed is bodies for pushed in self._pushed_bodies].index(True)
+        index = [
+            pushed_bodies is bodies for pushed_bodies in self._pushed_bodies
+        ].index(True)
         return wrenches[index], start, end
 
     def advance(self, t: float) -> int:
@@ -219,20 +221,20 @@ class SimulationRun(EntryRun):
         end_step = max(self._step_count(t), 0)
         has_observers = self._past_states is not None
         is_coupled = has_observers or self._pushed_bodies or self._pushers
-        count = end_step - self.state.steps
+        count = end_step - self.state.step_count
         if self._many_steps is not None and not is_coupled and count > 0:
-            start, step = self.step_time(self.state.steps), self.step_length
+            start, step = self.step_time(self.state.step_count), self.step_length
             result = self._many_steps(self.state.state, start, step, count)
             self.state = ReachedState(end_step, result.state)
             self.steps_taken += count
             self._record_notices(result.notices)
-        while self.state.steps < end_step:
+        while self.state.step_count < end_step:
             self._full_step()
         return end_step
 
     def _full_step(self) -> None:
         """Take a full step, and push the bodies of other systems."""
-        begin, end = self.apply_pushes(), self.step_time(self.state.steps + 1)
+        begin, end = self.apply_pushes(), self.step_time(self.state.step_count + 1)
         self.state, wrenches = self._step_until(begin, end)
         if self._past_states is None:
             self._pushed_states.clear()
@@ -245,16 +247,16 @@ class SimulationRun(EntryRun):
 
     def _partial_step(self, state: ReachedState[Any], t: float) -> ReachedState[Any]:
         """Return a state advanced by a partial step to a time [s]."""
-        if t <= self.step_time(state.steps) + STEP_TOLERANCE * self.step_length:
+        if t <= self.step_time(state.step_count) + STEP_TOLERANCE * self.step_length:
             return state
         return self._step_until(self._with_pushes(state), t)[0]
 
     def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
         """Return a state with pushes applied, from which the next step starts."""
-        is_current = state.steps == self.state.steps
+        is_current = state.step_count == self.state.step_count
         if is_current:
             return self.apply_pushes()
-        return self._pushed_states.get(state.steps, state)
+        return self._pushed_states.get(state.step_count, state)
 
     def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
         """Queue impulses on the bodies at a time [s]."""
@@ -268,7 +270,7 @@ class SimulationRun(EntryRun):
         Pushers are advanced to the same time first, so that the result does not depend
         on the requested times.
         """
-        steps = self.state.steps
+        steps = self.state.step_count
         if not self._pushers:
             return self.state
         if steps in self._pushed_states:
@@ -340,9 +342,12 @@ class SimulationRun(EntryRun):
         count = self.advance(t)
         # A resumed run has no earlier states.
         states = self._past_states
-        reached_states = (past for past in reversed(states) if past.steps <= count)
+        reached_states = (past for past in reversed(states) if past.step_count <= count)
         state = next(reached_states, states[0])
-        time, sampled_state = self.step_time(state.steps), self._partial_step(state, t)
+        time, sampled_state = (
+            self.step_time(state.step_count),
+            self._partial_step(state, t),
+        )
         if with_pushes and sampled_state is state:
             sampled_state = self._with_pushes(state)
         return sampled_state.state, max(t, time)
@@ -354,9 +359,11 @@ class SimulationRun(EntryRun):
         if t == -math.inf:
             return
         count, states = self._step_count(t), self._past_states
-        expired_indices = [k for k, past in enumerate(states) if past.steps <= count]
+        expired_indices = [
+            k for k, past in enumerate(states) if past.step_count <= count
+        ]
         del states[: expired_indices[-1] if expired_indices else 0]
-        first_step, pushed_states = states[0].steps, self._pushed_states
+        first_step, pushed_states = states[0].step_count, self._pushed_states
         self._pushed_states = {
             k: pushed_states[k] for k in pushed_states if k >= first_step
         }
@@ -368,7 +375,7 @@ class SimulationRun(EntryRun):
 
         Also returns impulses on bodies of other systems.
         """
-        start = self.step_time(state.steps)
+        start = self.step_time(state.step_count)
         result = self.simulation.step(state.state, start, end - start)
         result = result if isinstance(result, SteppedState) else SteppedState(result)
         self.steps_taken += 1
@@ -376,4 +383,4 @@ class SimulationRun(EntryRun):
         if not getattr(self.simulation, "checked", False):
             frame = self.simulation.frame(result.state, end)
             check_finite(self.name, frame, end, self.step_length)
-        return ReachedState(state.steps + 1, result.state), result.wrenches
+        return ReachedState(state.step_count + 1, result.state), result.wrenches

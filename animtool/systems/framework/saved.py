@@ -44,7 +44,7 @@ def write_states(
     arrays: _Arrays = {"format": np.array(STATE_FORMAT)}
     for name, (clock, reached_state) in states.items():
         prefix = f"{name}/" if name else ""
-        clock_row = [clock.begin, clock.step, float(reached_state.steps)]
+        clock_row = [clock.begin, clock.step, float(reached_state.step_count)]
         state = _state_arrays(reached_state.state)
         arrays[f"{prefix}kind"] = np.array(clock.kind)
         arrays[f"{prefix}clock"] = np.array(clock_row)

@@ -173,7 +173,7 @@ class ChecksResumedState(Protocol[State_contra]):
 class TrialSettings:
     """Settings of a work-precision table of a system."""
 
-    chosen: Setting  # the setting of the spec
+    configured_setting: Setting  # the setting of the spec
     settings: Callable[[], list[Setting]]  # as in `Trial`
     references: Callable[[], list[list[Setting]]]  # as in `Trial`
     # Maps a setting to the keys of the spec that it changes.

@@ -150,14 +150,12 @@ class StepForceSolver:
         if step_forces.velocities is not None:
             is_finite &= np.isfinite(step_forces.velocities).all(axis=1)
         if not is_finite.all():
-            body = int(np.argmin(is_finite))
-            message = f"the force on {self._body_label(body)} is not finite"
+            body_index = int(np.argmin(is_finite))
+            message = f"the force on {self._body_label(body_index)} is not finite"
             self._stop(t, message, "weaker forces")
         if step_forces.flight is not None and step_forces.flight.is_unresolved.any():
-            body = int(np.argmax(step_forces.flight.is_unresolved))
-            message = (
-                f"the force on {self._body_label(body)} changes too fast to be resolved"
-            )
+            body_index = int(np.argmax(step_forces.flight.is_unresolved))
+            message = f"the force on {self._body_label(body_index)} changes too fast to be resolved"
             self._stop(t, message, "use a weaker or smoother force")
 
     def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:

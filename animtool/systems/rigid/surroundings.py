@@ -29,7 +29,7 @@ class BodyForces:
     ) -> None:
         self._bodies, self.forces, self._begin = bodies, forces, begin
         # Whether any force depends on position, velocity or time.
-        self.is_variable = any(force.varies for force in forces)
+        self.is_variable = any(force.is_variable for force in forces)
         self._pushes = [
             (body, push)
             for body, i in enumerate(bodies.dynamic_indices.tolist())
@@ -78,7 +78,7 @@ class BodyForces:
         """Return Jacobians of accelerations by position and velocity ``(N, 3, 3)``."""
         jacobians = np.zeros((2, len(x), 3, 3))
         for force in self.forces:
-            if force.varies:
+            if force.is_variable:
                 jacobians += force.jacobians(t, x, v, self._particles)
         by_position, by_velocity = jacobians / self._bodies.masses[:, None, None]
         return by_position, by_velocity

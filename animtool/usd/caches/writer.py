@@ -144,7 +144,7 @@ class FrameBlock:
     codes: FloatArray  # time codes (F,)
     # Values ``(F, …)`` by attribute, in order; see `split_attribute`.
     values: Mapping[str, npt.NDArray[Any]]
-    vertices: int  # most points of any frame
+    vertex_count: int  # most points of any frame
     error: float = 0.0  # largest distance that rounding moved a point [m]
     error_code: float = 0.0  # time code of the largest error
     error_vertex: int = 0  # point of the largest error
@@ -187,7 +187,7 @@ class CachedMesh:
 
     def add_block(self, block: FrameBlock) -> None:
         """Add the counts of a block of frames, and update the largest error."""
-        self.vertices = max(self.vertices, block.vertices)
+        self.vertices = max(self.vertices, block.vertex_count)
         self.samples += len(block.codes)
         self.bytes += block.bytes
         if block.error > self.error:

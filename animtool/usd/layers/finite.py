@@ -74,10 +74,12 @@ def narrow_floats(
     """
     dtype = np.float16 if type_code == "h" else np.float32
     with np.errstate(over="ignore"):
-        narrowed = values.astype(dtype)
-    if narrowed.size and not _is_in_range(narrowed, _TYPE_LIMITS[type_code]):
-        _refuse_non_finite(values, narrowed, type_code, labels, time_codes)
-    return narrowed
+        narrowed_values = values.astype(dtype)
+    if narrowed_values.size and not _is_in_range(
+        narrowed_values, _TYPE_LIMITS[type_code]
+    ):
+        _refuse_non_finite(values, narrowed_values, type_code, labels, time_codes)
+    return narrowed_values
 
 
 def round_to_float32(

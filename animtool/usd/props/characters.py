@@ -315,12 +315,12 @@ class _CharacterGroup:
         positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
         op_names = ["xformOp:translate"]
         translate = attribute_spec(spec, "xformOp:translate", _TYPES.Float3)
-        rows = _changing_frames(positions, POSITION_TOLERANCE / unit)
+        changed_frames = _changing_frames(positions, POSITION_TOLERANCE / unit)
         write_samples(
             translate,
             track.codes,
-            rows,
-            [Gf.Vec3f(*position) for position in positions[rows].tolist()],
+            changed_frames,
+            [Gf.Vec3f(*position) for position in positions[changed_frames].tolist()],
         )
         if (self.up_rotation != so3.IDENTITY).any():
             attribute_spec(
@@ -329,8 +329,12 @@ class _CharacterGroup:
             op_names.append("xformOp:orient")
         rotate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
-        rows = _changing_frames(degrees[:, None], np.degrees(HEADING_TOLERANCE))
-        write_samples(rotate, track.codes, rows, degrees[rows].tolist())
+        changed_frames = _changing_frames(
+            degrees[:, None], np.degrees(HEADING_TOLERANCE)
+        )
+        write_samples(
+            rotate, track.codes, changed_frames, degrees[changed_frames].tolist()
+        )
         op_names.append("xformOp:rotateY")
         if track.scales[i] != 1:
             scale = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -340,12 +344,14 @@ class _CharacterGroup:
         is_visible = track.visible[:, i]
         if not is_visible.all():
             visibility = attribute_spec(spec, "visibility", _TYPES.Token)
-            rows = np.flatnonzero(np.diff(is_visible, prepend=~is_visible[:1]))
+            changed_frames = np.flatnonzero(
+                np.diff(is_visible, prepend=~is_visible[:1])
+            )
             tokens = [
                 "inherited" if visible else "invisible"
-                for visible in is_visible[rows].tolist()
+                for visible in is_visible[changed_frames].tolist()
             ]
-            write_samples(visibility, track.codes, rows, tokens)
+            write_samples(visibility, track.codes, changed_frames, tokens)
         rig = prim_spec(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]

@@ -41,12 +41,12 @@ class Force(ABC):
     Attributes:
         is_pair_force: Whether particles act on each other.
         is_dissipative: Whether it only removes energy from particles.
-        varies: Whether it depends on positions, velocities or time.
+        is_variable: Whether it depends on positions, velocities or time.
     """
 
     is_pair_force: bool = False
     is_dissipative: bool = False
-    varies: bool = True
+    is_variable: bool = True
 
     @abstractmethod
     def force(

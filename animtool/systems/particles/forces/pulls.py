@@ -31,7 +31,7 @@ class Gravity(Force):
 
     acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
 
-    varies = False
+    is_variable = False
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -50,7 +50,7 @@ class Uniform(Force):
 
     push: Vector = (0.0, 0.0, 0.0)  # [N]
 
-    varies = False
+    is_variable = False
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
