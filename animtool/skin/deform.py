@@ -40,7 +40,7 @@ class DeformedMesh:
     normals: FloatArray | None = None  # ``(V, 3)`` at rest; None without normals
 
     def __post_init__(self) -> None:
-        """Check that shapes, skin and normals match the points."""
+        """Raise if shapes, skin or normals do not match the points."""
         points = as_floats(self.points, ("V", 3), "points")
         object.__setattr__(self, "points", points)
         faults = [

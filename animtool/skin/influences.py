@@ -24,7 +24,7 @@ class Influences:
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices."""
+        """Number of vertices, also those without influences."""
         return len(self.row_starts) - 1
 
 
@@ -139,7 +139,7 @@ def _check_shapes(
     weights: FloatArray,
     vertex_count: int | None,
 ) -> None:
-    """Check that joint indices and weights have the same, expected shape."""
+    """Raise if joint indices are not integers, or weights have another shape."""
     if joint_indices.ndim != 2 or joint_indices.shape != weights.shape:
         message = (
             f"joint indices {joint_indices.shape} and weights {weights.shape} must "

@@ -67,7 +67,7 @@ class PreparedShapes:
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices."""
+        """Number of vertices of the mesh that the shapes deform."""
         return int(self.points.rest.shape[1])
 
 

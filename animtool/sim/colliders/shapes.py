@@ -48,7 +48,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A sphere.
+    """All points within a radius of a centre.
 
     Attributes:
         radius: Radius [m].

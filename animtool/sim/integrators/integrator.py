@@ -40,7 +40,7 @@ class StepControl(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """The result of a step."""
+    """State after a step, with the error estimate and memory of the method."""
 
     state: FloatArray  # state after the step
     memory: object = None  # data for the next step

@@ -47,7 +47,7 @@ class Setting:
         return Setting(str(method), tuple(options.items()))
 
     def __getitem__(self, name: str) -> float:
-        """Return an option."""
+        """Return the value of an option by name."""
         return dict(self.options)[name]
 
     def __str__(self) -> str:
@@ -99,7 +99,7 @@ class CostMeasure(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """The result of running one setting."""
+    """Time, status, points and figures of a run with one setting."""
 
     seconds: float  # wall time of the simulation [s]
     steps: int  # number of steps

@@ -259,7 +259,7 @@ class AgentBodies(Footing):
 
     @cached_property
     def leg_reach(self) -> LegReach:
-        """Reach of the legs."""
+        """Reach of both legs, from the thigh positions in all gaits."""
         return LegReach.from_gaits(self.gaits)
 
     def pitches(

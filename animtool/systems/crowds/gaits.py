@@ -39,7 +39,7 @@ class Walker:
 
     @property
     def rig(self) -> Rig:
-        """The rig."""
+        """The rig of the biped, without the roles of its joints."""
         return self.skeleton.rig
 
     @staticmethod

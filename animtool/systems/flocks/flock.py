@@ -304,7 +304,7 @@ class Flock:
     mesh_ranges: IntArray  # first mesh and number of meshes of each species (S, 2)
 
     def initial(self) -> FlockState:
-        """Return the initial state."""
+        """Return the members at the start, with headings if they are meshes."""
         motion = self.system.motion
         if not self.meshes:
             return FlockState(motion, None)

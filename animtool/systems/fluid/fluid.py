@@ -128,7 +128,7 @@ class Fluid:
         self._conserves_energy = is_static
 
     def initial(self) -> FluidState:
-        """Return the initial state."""
+        """Return the initial fluid, with its speed of sound and its energy bound."""
         count = self._initial_motion.shape[1]
         state = FluidState(
             np.arange(count, dtype=np.int64),
@@ -503,7 +503,7 @@ class Fluid:
 
 @dataclass(frozen=True, slots=True)
 class PressureResult:
-    """Result of a pressure solve."""
+    """Motion, pressures and wrenches after all substeps of a pressure solve."""
 
     motion: FloatArray  # (2, N, 3)
     pressures: FloatArray  # (N,) [Pa]

@@ -151,7 +151,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         self._colouring: Colouring | None = None
 
     def begin(self) -> None:
-        """Check the method, and set colour ranges from the first state."""
+        """Check that the method fits; set colour ranges from the first state."""
         state = self.initial()
         check_supported(Equations(self._system(state)), self._integrator)
         if self._spec.colour is not None:
@@ -160,7 +160,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @abstractmethod
     def _start(self, motion: FloatArray) -> State:
-        """Return the initial state, with the motion of `bodies`."""
+        """Build the initial state from positions and velocities ``(2, N, 3)``."""
 
     @abstractmethod
     def _state_sums(self, state: State) -> InteractionSums:
@@ -247,7 +247,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         return accelerations, energies
 
     def initial(self) -> State:
-        """Return the initial state."""
+        """Return the bodies at the start, with the sums at their positions."""
         return self._initial_state
 
     def _integrate(

@@ -38,7 +38,7 @@ class UnitFrame:
     def from_placement(
         pose: PlacementModel, scale: float = 1.0, time_scale: float = 1.0
     ) -> UnitFrame:
-        """Return the frame of a placement."""
+        """Return the frame at a placement, with its units of length and time."""
         rotation = unit_quaternion(pose.rotate)
         return UnitFrame(np.array(pose.at), rotation, scale, time_scale)
 

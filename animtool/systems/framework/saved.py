@@ -80,7 +80,7 @@ class SavedStates:
 
     @property
     def names(self) -> list[str]:
-        """Names of the states."""
+        """Names of the saved states; a single state has an empty name."""
         names = [name.rpartition("/") for name in self.archives.names(self.path)]
         return [prefix for prefix, _, key in names if key == "clock"]
 

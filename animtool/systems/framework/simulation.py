@@ -171,7 +171,7 @@ class ChecksResumedState(Protocol[State_contra]):
 
 @dataclass(frozen=True, slots=True)
 class TrialSettings:
-    """Settings of a work-precision table of a system."""
+    """Settings and references that a work-precision table compares."""
 
     configured_setting: Setting  # the setting of the spec
     settings: Callable[[], list[Setting]]  # as in `Trial`

@@ -78,12 +78,12 @@ class SystemSpec(FileModel):
 
     @property
     def title(self) -> str:
-        """Title for messages."""
+        """Name of the entry in messages."""
         return self.name
 
     @property
     def reads(self) -> list[str]:
-        """Numbers of external forces by kind, as text; without colliders."""
+        """External inputs as text, such as ``2 forces``; colliders are not included."""
         counts = {name: len(getattr(self, name, ())) for name in self.counted_keys}
         return [counted(n, name.removesuffix("s")) for name, n in counts.items() if n]
 
@@ -164,15 +164,15 @@ class PinnedPoints:
 
 
 class EntryRecord(Protocol):
-    """Properties of an entry after reading."""
+    """Properties of an entry that are known once its files are read."""
 
     @property
     def title(self) -> str:
-        """Title for messages."""
+        """Name of the entry in messages."""
 
     @property
     def reads(self) -> Sequence[str]:
-        """Numbers of external forces by kind, as text; without colliders."""
+        """External inputs as text, such as ``2 forces``; colliders are not included."""
 
     @property
     def counts(self) -> dict[str, int]:

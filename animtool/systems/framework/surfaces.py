@@ -49,7 +49,7 @@ class SystemBodies:
 
     @property
     def count(self) -> int:
-        """Number of dynamic bodies."""
+        """Number of dynamic bodies, which other systems can push."""
         return len(self.dynamic_indices)
 
     @property
@@ -95,10 +95,10 @@ class RigidSystem(Protocol):
     def inverse_masses(
         self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
-        """Return inverse effective masses, as `MovingBodies` does."""
+        """Return inverse effective masses of bodies at points ``(K,)`` [1/kg]."""
 
     def inertias(self, state: Any) -> tuple[FloatArray, FloatArray]:
-        """Return centres of mass and inverse inertias, as `MovingBodies` does."""
+        """Return centres ``(count, 3)`` and inverse inertias ``(count, 3, 3)``."""
 
 
 @runtime_checkable

@@ -39,7 +39,7 @@ class _ParticleSystem:
 
     @property
     def state(self) -> FloatArray:
-        """The initial state."""
+        """State at the start of the step: positions, and velocities with forces."""
         return self._state
 
 

@@ -85,12 +85,12 @@ class ParticlesModel(ForcedSpec):
 
     @property
     def title(self) -> str:
-        """Title for messages."""
+        """Name of the entry in messages."""
         return "particles"
 
     @property
     def reads(self) -> list[str]:
-        """Numbers of external forces by kind, as text."""
+        """External inputs as text, such as ``2 forces`` and a velocity field."""
         return [*super().reads, *(["a velocity field"] if self.velocity else [])]
 
     @property

@@ -155,7 +155,8 @@ class StepForceSolver:
             self._stop(t, message, "weaker forces")
         if step_forces.flight is not None and step_forces.flight.is_unresolved.any():
             body_index = int(np.argmax(step_forces.flight.is_unresolved))
-            message = f"the force on {self._body_label(body_index)} changes too fast to be resolved"
+            label = self._body_label(body_index)
+            message = f"the force on {label} changes too fast to be resolved"
             self._stop(t, message, "use a weaker or smoother force")
 
     def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:

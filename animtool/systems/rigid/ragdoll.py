@@ -45,7 +45,7 @@ _JOINT_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class RagdollOptions:
-    """Options of a ragdoll."""
+    """Options of the pass `ragdoll`: frames, mass, joints and colliders."""
 
     start: float | None = None  # start frame; None for the first
     end: float | None = None  # frame at which the take resumes; None for never

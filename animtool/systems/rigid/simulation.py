@@ -115,7 +115,7 @@ class RigidSimulation(RigidStates):
         )
 
     def initial(self) -> RigidState:
-        """Return the initial state."""
+        """Return all bodies at the start, without contacts or broken joints."""
         count = len(self.joints)
         return RigidState(
             self.bodies.initial_states,

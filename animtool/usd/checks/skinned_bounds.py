@@ -49,7 +49,7 @@ class SkinnedBounds:
 
     @property
     def point_count(self) -> int:
-        """Number of points."""
+        """Number of skinned points of all prims below the SkelRoot."""
         return sum(
             len(skinned_prim.points)
             for _, prims in self._bindings

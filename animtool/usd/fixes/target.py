@@ -38,7 +38,7 @@ class NotFixableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What an edit changed: a text for the report, and the largest change."""
+    """Report on an edit: a text, and the largest change of a value."""
 
     text: str  # the action and its counts, for the report
     # Largest change of a number, None if not meaningful.

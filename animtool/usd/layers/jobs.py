@@ -126,7 +126,7 @@ class Rounding:
 
 @dataclass(frozen=True, slots=True)
 class UsdJob:
-    """Settings of `write_usd`."""
+    """Rig, prim paths, units and layers of the takes that `write_usd` writes."""
 
     form: LayerForm
     output: Path  # path of the file, or `STDOUT` for usda

@@ -290,7 +290,7 @@ def _add_frame_axis(
 
 @dataclass(frozen=True, slots=True)
 class SimulatedJob:
-    """Settings for writing simulated prims."""
+    """Parent prim, names, units and placement of simulated prims to write."""
 
     model: str  # path of the parent prim
     names: Sequence[str]  # legal, unique names of the prims
@@ -305,7 +305,7 @@ class SimulatedJob:
 
     @property
     def paths(self) -> list[str]:
-        """Paths of the prims."""
+        """Prim paths below the parent prim, in the order of the names."""
         return [f"{self.model}/{name}" for name in self.names]
 
     def prim_writers(self) -> list[SimulatedPrim]:
