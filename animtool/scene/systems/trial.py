@@ -25,7 +25,7 @@ from animtool.scene.systems.simulation import (
 )
 from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.integrators.table import INTEGRATORS, find_integrator
-from animtool.sim.options import TOLERANCE
+from animtool.sim.options import DEFAULT_TOLERANCE
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
     REFERENCE_FACTORS,
@@ -143,7 +143,7 @@ def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
 def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
     """Return the methods, steps and tolerances to try for a spec."""
     tolerance = getattr(spec, "tolerance", None)
-    default = TOLERANCE if tolerance is None else tolerance
+    default = DEFAULT_TOLERANCE if tolerance is None else tolerance
     options = {} if _is_fixed(spec_method) else {"tolerance": default}
 
     def settings() -> list[Setting]:
@@ -154,7 +154,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             if _is_fixed(method):
                 result += step_settings(method, spec.step)
                 continue
-            max_step, centre = LONG_STEP_RATIO * spec.step, TOLERANCE
+            max_step, centre = LONG_STEP_RATIO * spec.step, DEFAULT_TOLERANCE
             if method == spec_method:
                 max_step, centre = spec.step, default
             for value in rounded_multiples(centre, TOLERANCES):

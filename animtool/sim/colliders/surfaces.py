@@ -83,11 +83,11 @@ class Surfaces:
 
 
 def teleport_warning(
-    limit: float, end_time: float, where: str, hint: str | None = None
+    limit: float, end_time: float, location: str, hint: str | None = None
 ) -> Fault:
     """Return a warning about motion above a speed limit [m/s] (SIM120)."""
     message = f"it moves faster than {limit:g} m/s until {end_time:g} s: it collides "
-    return warning("SIM120", f"{message}with nothing", hint, where)
+    return warning("SIM120", f"{message}with nothing", hint, location)
 
 
 class _PreparedSheet:

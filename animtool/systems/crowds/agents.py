@@ -243,15 +243,15 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
         "populations", [entry.name for entry in spec.populations]
     )
     for k, population in enumerate(spec.populations):
-        where = f"populations[{k}]"
+        location = f"populations[{k}]"
         for name in population.route:
             if name not in goals:
                 known_goals = f"the goals are {', '.join(goals)}"
                 hint = known_goals if goals else "add it to goals"
-                yield f"unknown goal {excerpt(name)}", where, hint
+                yield f"unknown goal {excerpt(name)}", location, hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
-            yield message, where, "then: stay"
+            yield message, location, "then: stay"
     for key in ("shows", "gaits"):
         has_key = [getattr(entry, key) is not None for entry in spec.populations]
         if any(has_key) and not all(has_key):

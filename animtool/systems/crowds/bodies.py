@@ -184,7 +184,7 @@ class AgentBodies(Footing):
             stance_phases = np.where(
                 is_stance_over[:, k], stances.phases[:, k], blend.stance_fractions[:, k]
             )
-            heel_pitches = self.pitches(k, stance_phases, blend, state.still)
+            heel_pitches = self.heel_pitches(k, stance_phases, blend, state.still)
             self._advance_foot(
                 k, phases, phase_change, blend, (before, after), footholds, swings
             )
@@ -203,7 +203,9 @@ class AgentBodies(Footing):
             remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
             yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
             points = after.points + after.velocities * remaining_times[:, None]
-            landings = self.landing(k, blend, points, after.headings + yaw, footholds)
+            landings = self.find_landings(
+                k, blend, points, after.headings + yaw, footholds
+            )
             was_planted = state.swings[:, k] < 0
             aims[is_swinging, k] = limit_landings(
                 aims, landings, swings, was_planted, self.scales, dt, k
@@ -262,7 +264,7 @@ class AgentBodies(Footing):
         """Reach of both legs, from the thigh positions in all gaits."""
         return LegReach.from_gaits(self.gaits)
 
-    def pitches(
+    def heel_pitches(
         self,
         k: int,
         stance_phases: FloatArray,
@@ -296,7 +298,7 @@ class AgentBodies(Footing):
         phase = (phases[:, None] - [0.0, 0.5]) % 1.0
         ends, is_swinging = blend.stance_fractions, state.swings >= 0
         pitches = [
-            [self.pitches(k, stance[:, k], blend, state.still) for k in range(2)]
+            [self.heel_pitches(k, stance[:, k], blend, state.still) for k in range(2)]
             for stance in (phase, ends)
         ]
         pitch_array = np.array(pitches).swapaxes(1, 2)
@@ -357,7 +359,7 @@ class AgentBodies(Footing):
         points = before.points + fraction[:, None] * (after.points - before.points)
         rotation = wrap_angles(after.headings - before.headings)
         headings = before.headings + fraction * rotation
-        landings = self.landing(k, blend, points, headings, footholds)
+        landings = self.find_landings(k, blend, points, headings, footholds)
         footholds[has_landed, k] = landings[has_landed]
         swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]
         swings[has_landed, k] = -1.0

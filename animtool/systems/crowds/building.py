@@ -234,8 +234,8 @@ def unreachable_goal_warnings(
             nearest = _nearest_reachable(grid, position, start_components)
             message = f"the goal {goal.name!r} is {problem}: agents go to "
             message += f"{obstacles.world_text(nearest)} instead"
-            where = f"goals[{goal_index}].at"
-            faults.append(warning("SIM146", message, hint, where))
+            location = f"goals[{goal_index}].at"
+            faults.append(warning("SIM146", message, hint, location))
             continue
         goal_component = components[grid.nearest_free_node(position)[0]]
         for population_index, population in enumerate(spec.populations):

@@ -117,7 +117,7 @@ class AgentCast:
                 rigs[i] = group.cast.rig
         return rigs
 
-    def world(
+    def joint_transforms(
         self,
         state: BodyState,
         motion: AgentMotion,

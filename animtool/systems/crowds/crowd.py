@@ -35,7 +35,7 @@ from animtool.systems.crowds.shoulders import (
     step_shoulders,
 )
 from animtool.systems.crowds.spec import CrowdsModel
-from animtool.systems.crowds.steering import GONE, Progress, Steering
+from animtool.systems.crowds.steering import DEPARTED_STAGE, Progress, Steering
 from animtool.systems.framework.simulation import Diagnostics
 
 if TYPE_CHECKING:
@@ -138,7 +138,7 @@ class Crowd:
         if state.falls is not None:
             has_fallen[state.falls.agents] = True
         modes = np.where(has_fallen, STAYING, WALKING)
-        modes[state.progress.stages == GONE] = LEFT_SCENE
+        modes[state.progress.stages == DEPARTED_STAGE] = LEFT_SCENE
         _check_finite(t, x, v, relaxed_velocities, walls.half_planes)
         shoulders = self._shoulder_yaws(state, has_fallen)
         points, velocities, overlap, shoulder_targets = _kernels.crowd_step(
@@ -222,7 +222,9 @@ class Crowd:
     def _world(self, bodies: BodyState, motion: AgentMotion, i: int) -> WorldTransforms:
         """Return the world transforms of an agent's joints."""
         assert self.cast is not None
-        return self.cast.world(bodies, motion, self.ground_frame, self.ground, i)
+        return self.cast.joint_transforms(
+            bodies, motion, self.ground_frame, self.ground, i
+        )
 
     def _rotate_headings(
         self,
@@ -247,7 +249,7 @@ class Crowd:
     ) -> PointsFrame | TransformsFrame | CharactersFrame:
         """Return agents as points, meshes or characters."""
         agents = self.agents
-        is_visible = state.progress.stages != GONE
+        is_visible = state.progress.stages != DEPARTED_STAGE
         if state.bodies is None:
             ids = np.flatnonzero(is_visible)
         else:
@@ -302,7 +304,7 @@ class Crowd:
 
     def diagnostics(self, state: CrowdState, t: float) -> Diagnostics:  # noqa: ARG002
         """Return the number, speed, progress and overlap of agents."""
-        has_left = state.progress.stages == GONE
+        has_left = state.progress.stages == DEPARTED_STAGE
         speeds = np.linalg.norm(state.velocities[~has_left], axis=1)
         values = {"agents": float(len(speeds)), "overlap": state.overlap}
         if len(speeds):

@@ -72,7 +72,7 @@ class Footing:
     scales: FloatArray  # size of each body relative to its rig (N,)
     ground: Heights
 
-    def landing(
+    def find_landings(
         self,
         foot_index: int,
         blend: Blend,

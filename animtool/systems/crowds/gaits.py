@@ -18,7 +18,7 @@ from animtool.systems.crowds.ground import rotations_about_y
 
 # Number of phases at which a cycle is sampled.
 PHASE_COUNT = 64
-SIDES = "lr"
+SIDE_LETTERS = "lr"
 UP = np.array([0.0, 1.0, 0.0])
 
 

@@ -237,7 +237,7 @@ def navigation_grids(
     cell = max(cell_size, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
     rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
     shape = rows, columns
-    nodes = NavGrid.nodes(low, cell, shape)
+    nodes = NavGrid.all_positions(low, cell, shape)
     max_slope = np.radians(spec.ground.slope)
     ground_heights, has_ground = find_walkable_nodes(
         ground, nodes, shape, cell, max_slope

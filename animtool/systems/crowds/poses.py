@@ -14,7 +14,7 @@ from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import Blend, BodyState
 from animtool.systems.crowds.gaits import (
     PHASE_COUNT,
-    SIDES,
+    SIDE_LETTERS,
     UP,
     Gait,
     Gaits,
@@ -102,7 +102,7 @@ def _solve_leg_ik(
         hip_parent = int(rig.parents[thigh])
         upper_leg, lower_leg = ankle_rotations(
             walker.skeleton,
-            SIDES[k],
+            SIDE_LETTERS[k],
             joints[:, [thigh, shin, foot]],
             goals[:, k],
             (world_rotations[thigh], world_rotations[shin]),
@@ -184,7 +184,9 @@ def _ankle_targets(
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
         begin = (state.phases - 0.5 * k) % 1.0
-        foot_rotations = rotations_about_x(bodies.pitches(k, begin, blend, state.still))
+        foot_rotations = rotations_about_x(
+            bodies.heel_pitches(k, begin, blend, state.still)
+        )
         ankle_offsets = standing_ankle(gaits.walker, k, foot_rotations)
         is_swinging = state.swings[:, k] >= 0
         if is_swinging.any():

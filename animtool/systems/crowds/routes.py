@@ -30,7 +30,9 @@ class NavGrid:
     is_free: BoolArray  # mask of walkable nodes (R, C), rows along x
 
     @staticmethod
-    def nodes(low: FloatArray, cell: float, shape: tuple[int, int]) -> FloatArray:
+    def all_positions(
+        low: FloatArray, cell: float, shape: tuple[int, int]
+    ) -> FloatArray:
         """Return x and z of all nodes of a grid ``(R·C, 2)`` [m]."""
         rows, columns = np.indices(shape).reshape(2, -1)
         return np.asarray(low + cell * np.stack([rows, columns], axis=1))
@@ -156,7 +158,7 @@ class FlowField:
         size = np.linalg.norm(descent, axis=2)[..., None]
         return descent / np.where(size > 0, size, 1.0)
 
-    def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
+    def path_directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the path from x and z ``(K, 2)``.
 
         They point straight at ``targets`` if the goal is near and visible. Agents on

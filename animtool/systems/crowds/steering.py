@@ -26,14 +26,16 @@ PACKING_FRACTION = 0.5
 # Fraction of a goal's radius that staying agents enter.
 INNER_RADIUS = 0.5
 NO_TICKET = -1
-GONE = -1
+DEPARTED_STAGE = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
     """Progress of N agents on their routes."""
 
-    stages: IntArray  # number of passed goals; `GONE` for agents that left (N,)
+    stages: (
+        IntArray  # number of passed goals; `DEPARTED_STAGE` for agents that left (N,)
+    )
     waited: FloatArray  # time waited at the current goal (N,) [s]
     tickets: IntArray  # order in the queue at the current goal, or `NO_TICKET` (N,)
 
@@ -89,7 +91,7 @@ class Steering:
         loop_stages = stages % np.maximum(counts, 1)
         route_index = np.where(is_repeating, loop_stages, np.minimum(stages, counts))
         goal_indices = table[np.arange(len(stages)), np.maximum(route_index, 0)]
-        return np.where(stages == GONE, -1, goal_indices)
+        return np.where(stages == DEPARTED_STAGE, -1, goal_indices)
 
     def targets(
         self, progress: Progress, goal_indices: IntArray, x: FloatArray
@@ -145,7 +147,7 @@ class Steering:
         for g, route in enumerate(self.flow_fields):
             is_assigned = (goal_indices == g) & ~is_queued
             if is_assigned.any():
-                directions[is_assigned] = route.directions(
+                directions[is_assigned] = route.path_directions(
                     x[is_assigned], target[is_assigned]
                 )
         speeds = np.minimum(agents.speeds, distances / STOPPING_TIME)
@@ -226,7 +228,9 @@ class Steering:
         # Agents that stay at their last goal never pass it.
         has_passed = has_arrived & (waited >= wait_times) & ~(is_last & ~has_queue)
         stages = progress.stages + has_passed
-        stages = np.where(has_passed & is_leaving & (stages >= counts), GONE, stages)
+        stages = np.where(
+            has_passed & is_leaving & (stages >= counts), DEPARTED_STAGE, stages
+        )
         return Progress(
             stages,
             np.where(has_passed, 0.0, waited),

@@ -22,8 +22,13 @@ from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, key_problems
-from animtool.systems.flocks.rules import FlockRule, build_rules, rule_accelerations
-from animtool.systems.flocks.spacing import START_PASSES, Spacing
+from animtool.systems.flocks.rules import (
+    START_PASSES,
+    FlockRule,
+    Spacing,
+    build_rules,
+    rule_accelerations,
+)
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
     avoidance_accelerations,

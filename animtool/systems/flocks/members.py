@@ -31,7 +31,7 @@ from animtool.systems.particles.state import ParticleState
 # Most passes that move members out of colliders at the start.
 MAX_CLEARING_PASSES = 20
 # Clearance from a surface, relative to the radius [1].
-CLEARANCE = 1e-6
+SURFACE_CLEARANCE = 1e-6
 # Smallest reported displacement, relative to the radius [1].
 MIN_REPORTED_MOVE = 4e-3
 
@@ -104,7 +104,7 @@ class Members(Groups):
                 break
             is_moved |= is_inside
             normals = samples.normals[deepest_indices, members]
-            distances = (max_depths + CLEARANCE * self.radii) * is_inside
+            distances = (max_depths + SURFACE_CLEARANCE * self.radii) * is_inside
             points = points + normals * distances[:, None]
         else:
             if colliders.rigid_colliders:
@@ -233,13 +233,13 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
     names = [species.name for species in spec.species]
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
-        where = f"species[{k}]"
+        location = f"species[{k}]"
         relations = [*species.flees, *species.chases]
         for name in [*species.joins, *(relation.species for relation in relations)]:
             if name not in names:
                 hint = f"the species are {', '.join(names)}"
-                yield f"unknown species {excerpt(name)}", where, hint
-        yield from _speed_problems(species, where)
+                yield f"unknown species {excerpt(name)}", location, hint
+        yield from _speed_problems(species, location)
     has_mesh = [species.shows is not None for species in spec.species]
     if any(has_mesh) and not all(has_mesh):
         name = names[has_mesh.index(False)]
@@ -249,7 +249,7 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
         yield from _domain_problems(spec, spec.domain)
 
 
-def _speed_problems(species: SpeciesModel, where: str) -> Iterator[Problem]:
+def _speed_problems(species: SpeciesModel, location: str) -> Iterator[Problem]:
     """Yield a problem if the bounds of a species' speed exclude its cruise."""
     speed = species.speed
     cruise = f"speed.cruise, {speed.cruise:g}"
@@ -258,15 +258,15 @@ def _speed_problems(species: SpeciesModel, where: str) -> Iterator[Problem]:
     if speed.most is not None and speed.least > speed.most:
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         message += f"speed.most, {speed.most:g}"
-        yield message, f"{where}.speed.least", "lower least, or raise most"
+        yield message, f"{location}.speed.least", "lower least, or raise most"
     elif speed.least > speed.cruise:
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         hint = "lower least, or raise cruise"
-        yield f"{message}{cruise}", f"{where}.speed.least", hint
+        yield f"{message}{cruise}", f"{location}.speed.least", hint
     elif speed.most is not None and speed.most < speed.cruise:
         message = f"speed.most of {species.name!r} is {speed.most:g} m/s, below "
         hint = "raise most, or lower cruise"
-        yield f"{message}{cruise}", f"{where}.speed.most", hint
+        yield f"{message}{cruise}", f"{location}.speed.most", hint
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:

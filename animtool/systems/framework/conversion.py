@@ -238,4 +238,4 @@ def _contains_marker(annotation: Any, marker: Any) -> bool:
 
 
 # The default units: metres and degrees.
-METRES = SceneUnits()
+DEFAULT_UNITS = SceneUnits()

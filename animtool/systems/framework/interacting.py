@@ -108,8 +108,8 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
 class Interacting(ABC, Generic[State, InteractionSums]):
     """Base class of simulations of interacting bodies.
 
-    A subclass calls `__init__`, sets the remaining attributes, calls `begin`, and
-    defines a step.
+    A subclass calls `__init__`, sets the remaining attributes, calls `finish_setup`,
+    and defines a step.
 
     Attributes:
         checked: Whether steps raise if a number is not finite.
@@ -150,7 +150,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         self._integrator = check_options(self._options)
         self._colouring: Colouring | None = None
 
-    def begin(self) -> None:
+    def finish_setup(self) -> None:
         """Check that the method fits; set colour ranges from the first state."""
         state = self.initial()
         check_supported(Equations(self._system(state)), self._integrator)

@@ -71,10 +71,10 @@ class PointMasses(Rows):
 
     @staticmethod
     def read(
-        parts: Mapping[str, Any], mass: float, noun: str, code: str, where: str
+        parts: Mapping[str, Any], mass: float, noun: str, code: str, location: str
     ) -> PointMasses:
         """Return bodies from arrays of files, by default at rest and of equal mass."""
-        check_body_arrays(parts, noun, code, where)
+        check_body_arrays(parts, noun, code, location)
         points, velocities = parts["points"], parts.get("velocities")
         velocities = np.zeros(points.shape) if velocities is None else velocities
         masses = parts.get("masses")
@@ -82,7 +82,7 @@ class PointMasses(Rows):
         if (masses <= 0).any():
             i = int(np.argmax(masses <= 0))
             message = f"the mass of {noun} {i} is {masses[i]:g} kg; it must be above 0"
-            refuse(code, message, where)
+            refuse(code, message, location)
         return PointMasses(points, velocities, masses)
 
 
@@ -108,7 +108,7 @@ def check_distinct(
     points: FloatArray,
     pair_names: Callable[[int, int], str],
     code: str,
-    where: str,
+    location: str,
     hint: str,
     reason: str = "",
 ) -> None:
@@ -123,11 +123,11 @@ def check_distinct(
         i = int(np.argmax(is_coincident))
         names = pair_names(*sorted(order[[i, i + 1]].tolist()))
         message = f"{names} start at the same position{': ' if reason else ''}{reason}"
-        refuse(code, message, where, hint)
+        refuse(code, message, location, hint)
 
 
 def check_body_arrays(
-    arrays: Mapping[str, FloatArray | None], noun: str, code: str, where: str
+    arrays: Mapping[str, FloatArray | None], noun: str, code: str, location: str
 ) -> None:
     """Raise if arrays of bodies have wrong shapes or numbers that are not finite.
 
@@ -147,5 +147,5 @@ def check_body_arrays(
             if is_finite.all():
                 continue
             message = f"{name} of {noun} {int(np.argmin(is_finite))} are not finite"
-        problems.append((message, where, None))
+        problems.append((message, location, None))
     refuse_all(code, problems)

@@ -94,13 +94,13 @@ class SystemSpec(FileModel):
         return {name: count for name, count in counts.items() if count}
 
     def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return the faults of conflicting keys, with the key as ``where``.
+        """Return the faults of conflicting keys, with the key as ``location``.
 
         ``parts`` is the data read for the keys, as in a `SimContext`.
         """
         faults = [
-            Fault(self.code, message, hint=hint, where=where)
-            for message, where, hint in self.problems()
+            Fault(self.code, message, hint=hint, where=location)
+            for message, location, hint in self.problems()
         ]
         colour = getattr(self, "colour", None)
         return faults + (colour.faults(self.quantities, self.code) if colour else [])

@@ -16,9 +16,9 @@ from animtool.systems.molecules.spec import MoleculesModel
 from animtool.systems.particles.emitter import uniforms
 
 # Boltzmann's constant [kJ/(mol K)].
-BOLTZMANN = 0.00831446261815324
+BOLTZMANN_CONSTANT = 0.00831446261815324
 # Coulomb constant [kJ nm/(mol e²)].
-COULOMB = 138.935457644
+COULOMB_CONSTANT = 138.935457644
 # Largest total charge of a neutral system [e].
 CHARGE_TOLERANCE = 1e-9
 # Largest number of lattice sites per atom.
@@ -181,7 +181,9 @@ def _initial_velocities(
     v = normal_samples(u) / np.sqrt(m)
     v -= (m * v).sum(axis=0) / m.sum()
     mean_square = float((m * v * v).sum()) / (3 * count - 3)
-    velocities[is_thermal] = v * np.sqrt(BOLTZMANN * spec.temperature / mean_square)
+    velocities[is_thermal] = v * np.sqrt(
+        BOLTZMANN_CONSTANT * spec.temperature / mean_square
+    )
     return velocities
 
 

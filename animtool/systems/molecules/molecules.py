@@ -18,8 +18,8 @@ from animtool.systems.framework.interacting import Interacting
 from animtool.systems.framework.matter import normal_samples
 from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.molecules.atoms import (
-    BOLTZMANN,
-    COULOMB,
+    BOLTZMANN_CONSTANT,
+    COULOMB_CONSTANT,
     Atoms,
     PeriodicBox,
     pair_coefficients,
@@ -28,7 +28,7 @@ from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, Tra
 from animtool.systems.particles.emitter import uniforms
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
-MEGAPASCALS = 1.66053906717
+MEGAPASCALS_PER_UNIT = 1.66053906717
 # Pair energy, relative to the well depth, above which atoms overlap at the start.
 OVERLAP_ENERGY = 1000.0
 # Largest and recommended step, relative to 1/ω of the stiffest crystal.
@@ -61,7 +61,9 @@ class Interactions:
         self._switch_distance = min(switch_distance, self._cutoff)
         self._skin = max(min(spec.skin, box.size.min() / 2 - self._cutoff), 0.0)
         has_charges = bool(atoms.charges.any())
-        self._charges = atoms.charges * np.sqrt(COULOMB) if has_charges else None
+        self._charges = (
+            atoms.charges * np.sqrt(COULOMB_CONSTANT) if has_charges else None
+        )
         self._damping = spec.damping
         self._neighbour_list: tuple[FloatArray, Any] | None = None
 
@@ -125,7 +127,7 @@ def build(spec: MoleculesModel, context: SimContext) -> Molecules:
     box = PeriodicBox(spec)
     atoms = Atoms.from_spec(spec, context.parts["species"], box)
     molecules = Molecules(spec, context, box, atoms)
-    molecules.begin()
+    molecules.finish_setup()
     return molecules
 
 
@@ -158,7 +160,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         # The fastest crystal vibration of all species [rad/ps].
         self._max_frequency = math.sqrt(8 * max(rates))
 
-    def begin(self) -> None:
+    def finish_setup(self) -> None:
         """Check the initial state, and set colour ranges from that state."""
         start, refusals = self.initial(), RefusalCollector()
         with refusals.collect():
@@ -166,7 +168,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         with refusals.collect():
             self._check_distinct(start)
         refusals.check()
-        super().begin()
+        super().finish_setup()
 
     def _check_numbers(self, start: MoleculeState) -> None:
         """Raise SIM071 if the step is too long, or numbers overflow in the scene."""
@@ -291,7 +293,9 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         squares = (state.motion[1] ** 2).sum(axis=1)
         return {
             **super()._quantities(state, t),
-            "temperature": lambda: self.bodies.masses * squares / (3 * BOLTZMANN),
+            "temperature": lambda: (
+                self.bodies.masses * squares / (3 * BOLTZMANN_CONSTANT)
+            ),
             "energy": lambda: 0.5 * self.bodies.masses * squares + energies,
         }
 
@@ -301,8 +305,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         pressure = (2 * energy.kinetic + state.acting.virial) / (3 * volume)
         values = {
             "atoms": float(len(self.bodies.masses)),
-            "temperature": 2 * energy.kinetic / (self._degrees_of_freedom * BOLTZMANN),
-            "pressure": pressure * MEGAPASCALS,
+            "temperature": 2
+            * energy.kinetic
+            / (self._degrees_of_freedom * BOLTZMANN_CONSTANT),
+            "pressure": pressure * MEGAPASCALS_PER_UNIT,
             "kinetic_energy": energy.kinetic,
             "potential_energy": energy.potential,
         }
@@ -333,7 +339,7 @@ def thermostat_factor(
     if not kinetic > 0 or degrees_of_freedom < 1:
         return 1.0
     times, temperatures = np.array(model.temperatures).T
-    target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
+    target = BOLTZMANN_CONSTANT * float(np.interp(t, times, temperatures)) / 2
     randoms = uniforms(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
     random, second_random = np.clip(randoms, 2.0**-53, 1 - 2.0**-53)
     normal = float(normal_samples(random))

@@ -84,7 +84,7 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
     refusals.check()
     nbody = Nbody(spec, context, [*body_sets, *build_galaxies(spec)])
     _check_start(spec, nbody.bodies)
-    nbody.begin()
+    nbody.finish_setup()
     return nbody
 
 

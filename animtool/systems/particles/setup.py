@@ -110,9 +110,9 @@ class Particles:
         """Return faults of emitters, forces, colliders and regions."""
         faults = _record_faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
-            where = f"{_table_name(force)}[{i}]"
+            location = f"{_table_name(force)}[{i}]"
             faults += [
-                Fault("SIM022", f"its {option} {reason}", where=where)
+                Fault("SIM022", f"its {option} {reason}", where=location)
                 for option, reason in force.faults()
             ]
         if self.velocity is not None:

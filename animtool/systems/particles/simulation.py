@@ -391,8 +391,8 @@ class ParticleSimulation:
             )
             message += f"frame, at {t:.3g} s"
             hint = "times are in seconds from the first frame of the range"
-            where = f"emitters[{start_times.index(first_time)}]"
-            return warning("SIM188", message, hint, where)
+            location = f"emitters[{start_times.index(first_time)}]"
+            return warning("SIM188", message, hint, location)
         hint = "set a rate or bursts, and a start and a lifetime with which "
         return warning("SIM188", message, hint + "particles exist in the range")
 

@@ -76,20 +76,22 @@ class RigidBodies:
         for entry_index, (model, entry_data) in enumerate(
             zip(models, parts, strict=True)
         ):
-            where = entry_data.get("entry", f"bodies[{entry_index}]")
+            location = entry_data.get("entry", f"bodies[{entry_index}]")
             origin = entry_data.get("origin")
-            with refusals.collect(), _entry_faults(where, origin):
+            with refusals.collect(), _entry_faults(location, origin):
                 if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
-            with refusals.collect(), _entry_faults(where, origin):
+            with refusals.collect(), _entry_faults(location, origin):
                 refuse_all("SIM061", motion_key_problems(model))
-            with refusals.collect(), _entry_faults(where, origin):
+            with refusals.collect(), _entry_faults(location, origin):
                 kind = build_body_kind(model, entry_data)
                 points, rotations = copy_placements(model, entry_data)
             used_names.add(model.name)
             if refusals.faults:
                 continue
-            notices = [_locate_fault(notice, where, origin) for notice in kind.notices]
+            notices = [
+                _locate_fault(notice, location, origin) for notice in kind.notices
+            ]
             kinds.append(replace(kind, notices=notices))
             entry_poses: Poses = entry_data["poses"]
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
@@ -361,17 +363,19 @@ def _first_indices(counts: Sequence[int]) -> IntArray:
 
 
 @contextmanager
-def _entry_faults(where: str, origin: str | None) -> Iterator[None]:
+def _entry_faults(location: str, origin: str | None) -> Iterator[None]:
     """Locate the faults that are raised inside the context at an entry."""
     try:
         yield
     except OptionError as error:
-        faults = [_locate_fault(fault, where, origin) for fault in error.faults]
+        faults = [_locate_fault(fault, location, origin) for fault in error.faults]
         raise OptionError(faults) from error
 
 
-def _locate_fault(fault: Fault, where: str, origin: str | None) -> Fault:
+def _locate_fault(fault: Fault, location: str, origin: str | None) -> Fault:
     """Return a fault located at an entry, or at the prim that the entry names."""
     if origin is not None:
-        return replace(fault, where=where, message=f"{origin}: " + fault.message)
-    return replace(fault, where=f"{where}.{fault.where}" if fault.where else where)
+        return replace(fault, where=location, message=f"{origin}: " + fault.message)
+    return replace(
+        fault, where=f"{location}.{fault.where}" if fault.where else location
+    )

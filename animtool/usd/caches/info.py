@@ -221,13 +221,13 @@ def _extent_union(
     return lowest.astype(float).tolist(), highest.astype(float).tolist()
 
 
-def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
+def _missing_chunks(chunks: Sequence[ChunkSet], file_path: str) -> list[Fault]:
     """Report the files of value clips that do not exist."""
     return [
         Fault(
             "USD276",
             f"chunks of {chunk.path} are missing: {listed(chunk.missing)}",
-            where,
+            file_path,
             hint="points are static between them",
             severity=Severity.WARNING,
         )

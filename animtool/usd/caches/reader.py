@@ -182,7 +182,7 @@ class PointSource:
         """Paths of the prims, below the default prim."""
         return list(self._readers)
 
-    def type(self, name: str) -> str:
+    def prim_type(self, name: str) -> str:
         """Return the type of a prim."""
         return str(self._readers[name].prim.GetTypeName())
 

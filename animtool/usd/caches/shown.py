@@ -32,7 +32,7 @@ from animtool.usd.caches.reader import (
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_meshes
-from animtool.usd.rigs.meshes import COLORS
+from animtool.usd.rigs.meshes import MESH_COLORS
 from animtool.usd.rigs.prims import (
     find_skeletons,
     number_rows,
@@ -338,9 +338,9 @@ class StageContents:
         code = self.stage.GetStartTimeCode()
         for name, query in bound_meshes(UsdSkel.Skeleton(prim)):
             colors = _display_colors(query.GetPrim(), code)
-            is_default = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(
-                1
-            )
+            is_default = len(colors) == 1 and np.isclose(
+                colors, MESH_COLORS, atol=1e-6
+            ).all(1)
             if len(colors) and not np.any(is_default):
                 colors_by_name[name] = colors
         return colors_by_name

@@ -103,8 +103,8 @@ class CacheTarget:
             message = "the rig's own opinions are stronger than the cache at "
             message += listed(overridden_paths)
             hint = "a layer cannot reach into instances"
-            where = str(self.rig.path)
-            raise OutputError(Fault("USD042", message, where, (), hint))
+            location = str(self.rig.path)
+            raise OutputError(Fault("USD042", message, location, (), hint))
 
 
 def open_cache_target(

@@ -49,7 +49,7 @@ class AttributeKind:
 
 _INTEGER_ATTRIBUTE = AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
 _TOKEN_ATTRIBUTE = AttributeKind(_TYPES.Token, str, is_uniform=True)
-ATTRIBUTES = {
+ATTRIBUTE_KINDS = {
     "points": AttributeKind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
     "velocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
     "extent": AttributeKind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
@@ -80,7 +80,7 @@ def attribute_kind(name: str, values: npt.NDArray[Any]) -> AttributeKind:
     ``name`` is one that `split_attribute` parses.
     """
     if not name.startswith("primvars:"):
-        return ATTRIBUTES[name.rpartition(".")[2]]
+        return ATTRIBUTE_KINDS[name.rpartition(".")[2]]
     if np.issubdtype(values.dtype, np.integer):
         return AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
     if values.ndim == 1:
@@ -91,9 +91,9 @@ def attribute_kind(name: str, values: npt.NDArray[Any]) -> AttributeKind:
 
 
 def author_values(spec: Any, values: Mapping[str, Any]) -> None:
-    """Author constant values of `ATTRIBUTES`, in order."""
+    """Author constant values of `ATTRIBUTE_KINDS`, in order."""
     for name, value in values.items():
-        kind = ATTRIBUTES[name]
+        kind = ATTRIBUTE_KINDS[name]
         attribute_spec(
             spec,
             name,
@@ -298,7 +298,7 @@ class PointWriter:
 def empty_attribute(spec: Any, name: str) -> SampleWriter:
     """Replace a rest mesh's attribute by an empty one; return its sample writer."""
     remove_attribute(spec, name)
-    kind = ATTRIBUTES[name]
+    kind = ATTRIBUTE_KINDS[name]
     attr = attribute_spec(spec, name, kind.type_name, interpolation=kind.interpolation)
     return SampleWriter(attr, kind.convert)
 
@@ -353,11 +353,11 @@ class FrameEncoder(Generic[FrameT]):
     def attribute_kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
         """Return the sampled attributes, in order, by name; see `split_attribute`."""
         arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
-        attribute_kinds = {name: ATTRIBUTES[name] for name in self.sampled_names}
+        attribute_kinds = {name: ATTRIBUTE_KINDS[name] for name in self.sampled_names}
         attribute_kinds |= {
             name: attribute_kind(name, rows) for name, rows in arrays.items()
         }
-        return {**attribute_kinds, "extent": ATTRIBUTES["extent"]}
+        return {**attribute_kinds, "extent": ATTRIBUTE_KINDS["extent"]}
 
     def author_children(self, spec: Any, frame: FrameT) -> None:
         """Create the child prims that have samples."""

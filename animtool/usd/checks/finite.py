@@ -125,19 +125,19 @@ def check_finite(subject: StageSubject) -> Iterator[Fault]:
     layers = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
     for layer in (root, *sorted(layers, key=lambda layer: str(layer.identifier))):
         problems = _layer_problems(subject, layer, is_root=layer == root)
-        where = "" if layer == root else f" (in {layer.GetDisplayName()})"
+        prim_path = "" if layer == root else f" (in {layer.GetDisplayName()})"
         for _, group in groupby(problems, key=lambda item: item[0].GetPrimPath()):
-            yield from _first_findings(list(group), where)
+            yield from _first_findings(list(group), prim_path)
 
 
-def _first_findings(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
+def _first_findings(problems: list[tuple[Any, str]], prim_path: str) -> Iterator[Fault]:
     """Yield up to `MAX_FINDINGS` findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
         omitted_count = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         suffix = ""
         if omitted_count > 0:
             suffix = f"; so are {omitted_count} more values of this prim"
-        yield finding("USD171", path, f"{message}{where}{suffix}")
+        yield finding("USD171", path, f"{message}{prim_path}{suffix}")
 
 
 def _layer_problems(

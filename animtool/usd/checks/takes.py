@@ -229,8 +229,8 @@ def _animation_rig(
     sample_indices, values = array.rows(len(joints), 3)
     if len(sample_indices):
         rest[:, 3, :3] = values[0]
-    where = PrimLocation.from_prim(path, animation)
-    return rig_from_tokens(joints, rest, name, where, meters, up, {})
+    location = PrimLocation.from_prim(path, animation)
+    return rig_from_tokens(joints, rest, name, location, meters, up, {})
 
 
 def _attribute_rows(

@@ -25,7 +25,7 @@ from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.usd.layers.dependencies import open_composed
-from animtool.usd.layers.jobs import SUFFIXES
+from animtool.usd.layers.jobs import LAYER_SUFFIXES
 from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 
@@ -173,9 +173,9 @@ def edited_layer(path: Path, content: Any = None) -> Iterator[FixTarget]:
 def check_copy_suffixes(source: Path, output: Path) -> None:
     """Raise if a file suffix is not that of a single layer."""
     for path in (source, output):
-        if path.suffix.lower() not in SUFFIXES:
+        if path.suffix.lower() not in LAYER_SUFFIXES:
             message = f"{path.suffix or 'no suffix'} cannot hold a repaired layer"
-            hint = f"allowed: {', '.join(SUFFIXES)}"
+            hint = f"allowed: {', '.join(LAYER_SUFFIXES)}"
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 

@@ -113,13 +113,15 @@ def matrix_array(attr: Any) -> FloatArray:
     return np.asarray(value if is_valid else (), np.float64).reshape(-1, 4, 4)
 
 
-def joint_order_faults(where: object, joints: Sequence[str]) -> Iterator[Fault]:
+def joint_order_faults(
+    attribute_path: object, joints: Sequence[str]
+) -> Iterator[Fault]:
     """Yield faults of joint paths: duplicates, or a child before its parent."""
     repeated_joints = duplicate_tokens(joints)
     if repeated_joints:
         message = f"{len(repeated_joints)} of {len(joints)} joints are duplicates: "
         message += listed(repeated_joints)
-        yield finding("USD220", where, message)
+        yield finding("USD220", attribute_path, message)
         return
     parents = joint_parents(joints)
     before_parent = np.flatnonzero(parents > np.arange(len(joints)))
@@ -129,7 +131,7 @@ def joint_order_faults(where: object, joints: Sequence[str]) -> Iterator[Fault]:
             f"joint {child}, {excerpt(joints[child])}, comes before its parent, "
             f"joint {parents[child]}"
         )
-        yield finding("USD221", where, message)
+        yield finding("USD221", attribute_path, message)
 
 
 def bind_faults(
@@ -209,8 +211,10 @@ def missing_transform_faults(animation: Any, joints: Sequence[str]) -> Iterator[
     if len(unauthored_names) == len(attributes):
         message = f"lists {counted(len(joints), 'joint')} but has no transforms"
         hint = "author all three, or remove joints"
-        where = str(animation.GetPath())
-        yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
+        prim_path = str(animation.GetPath())
+        yield Fault(
+            "USD150", message, None, (), hint, Severity.WARNING, where=prim_path
+        )
     elif unauthored_names:
         message = f"no value for {listed(unauthored_names)}, but "
         message += counted(len(joints), "joint")

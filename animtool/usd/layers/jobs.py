@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from animtool.usd.takes.splines import CurveReport
 
 
-SUFFIXES = (".usd", ".usda", ".usdc")
+LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 class LayerForm(StrEnum):
@@ -67,11 +67,11 @@ def check_path(path: Path) -> None:
 
 def check_suffix(path: Path) -> None:
     """Refuse a path without a USD suffix (OUT004)."""
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in LAYER_SUFFIXES:
         check_path(path)
         return
     message = f"{suffix_text(path)} is not a USD extension"
-    hint = f"allowed: {', '.join(SUFFIXES)}"
+    hint = f"allowed: {', '.join(LAYER_SUFFIXES)}"
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 

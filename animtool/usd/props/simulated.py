@@ -31,7 +31,7 @@ from animtool.motion.frames import (
     TransformsFrame,
 )
 from animtool.usd.caches.writer import (
-    ATTRIBUTES,
+    ATTRIBUTE_KINDS,
     POLYLINE_TOKENS,
     CachedMesh,
     FrameBlock,
@@ -199,7 +199,7 @@ class SimulatedPrim:
         if encoder.can_tear(frame):
             report.sampled += topology
             for name in topology:
-                attribute_spec(spec, name, ATTRIBUTES[name].type_name)
+                attribute_spec(spec, name, ATTRIBUTE_KINDS[name].type_name)
         else:
             author_values(spec, topology)
         encoder.author_constants(self, spec, frame)

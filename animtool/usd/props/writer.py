@@ -23,7 +23,7 @@ from animtool.motion.frames import MeshFrame, TransformsFrame
 from animtool.motion.motion import Motion
 from animtool.motion.transforms import Track, Transforms
 from animtool.usd.caches.writer import (
-    ATTRIBUTES,
+    ATTRIBUTE_KINDS,
     AttributeKind,
     FrameEncoder,
     FramePrimWriter,
@@ -233,7 +233,10 @@ def _author_track(
 
 # Operations of an animated Xform.
 _XFORM_OPS = ("xformOp:translate", "xformOp:orient")
-PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # child prims that are not instances
+PROTOTYPES_NAME, PHYSICS_NAME = (
+    "Prototypes",
+    "Physics",
+)  # child prims that are not instances
 
 
 class InstancerEncoder(FrameEncoder[TransformsFrame]):
@@ -294,7 +297,7 @@ class XformsEncoder(FrameEncoder[TransformsFrame]):
     def attribute_kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
         """Return the transform ops of the animated instances."""
         return {
-            f"{instance_name}.{name}": ATTRIBUTES[name]
+            f"{instance_name}.{name}": ATTRIBUTE_KINDS[name]
             for i, instance_name in enumerate(instance_names(frame.names).names)
             if i not in frame.static
             for name in _XFORM_OPS
@@ -313,7 +316,9 @@ class XformsEncoder(FrameEncoder[TransformsFrame]):
         The prototypes are class prims, so that they are not drawn.
         """
         layer, paths = spec.layer, _write_prototypes(writer, spec, frame.meshes)
-        layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
+        layer.GetPrimAtPath(
+            f"{spec.path}/{PROTOTYPES_NAME}"
+        ).specifier = Sdf.SpecifierClass
         for i, name in enumerate(writer.child_names):
             instance = layer.GetPrimAtPath(f"{spec.path}/{name}")
             names = list(_XFORM_OPS)
@@ -367,7 +372,7 @@ def instance_names(names: Sequence[str]) -> UsdNames:
     >>> instance_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
     """
-    all_names = [PROTOTYPES, PHYSICS, *names]
+    all_names = [PROTOTYPES_NAME, PHYSICS_NAME, *names]
     unique_names = distinct_names(
         all_names, [name.removesuffix("]") for name in all_names], all_names
     )
@@ -378,7 +383,7 @@ def _write_prototypes(
     writer: FramePrimWriter, spec: Any, meshes: Sequence[MeshFrame]
 ) -> list[str]:
     """Write prototype meshes below a prim; return their paths."""
-    scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
+    scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES_NAME}", "Scope")
     paths = [f"{scope.path}/mesh_{i + 1}" for i in range(len(meshes))]
     for path, mesh in zip(paths, meshes, strict=True):
         writer.write_static(spec.layer, path, mesh)

@@ -109,7 +109,7 @@ def map_joints(
     ``converted_take`` converts the take to the rig's space; None if it is in that
     space already.
     """
-    skeleton, where = target.skeleton, str(target.path)
+    skeleton, location = target.skeleton, str(target.path)
     source_joints = _match_joints(take, target, strip_namespaces)
     unmatched_notices = _unmatched_notices(take, target, source_joints)
     shapes, shape_notices = match_shapes(
@@ -173,7 +173,7 @@ def _unmatched_notices(
     take: Rig, target: RigTarget, source_joints: IntArray
 ) -> list[Fault]:
     """Return notices about joints that the take or the target lacks."""
-    used_joints, where = set(source_joints.tolist()), str(target.path)
+    used_joints, location = set(source_joints.tolist()), str(target.path)
     missing_names = [
         joint.name for i, joint in enumerate(take.joints) if i not in used_joints
     ]
@@ -182,11 +182,13 @@ def _unmatched_notices(
     names = target.skeleton.rig.names
     unmapped_names = [names[j] for j in np.flatnonzero(source_joints < 0).tolist()]
     message = f"{len(missing_names)} joints of the take are not in the rig: "
-    notices = _names_notice("USD102", message, missing_names, where, "they are skipped")
+    notices = _names_notice(
+        "USD102", message, missing_names, location, "they are skipped"
+    )
     message = f"{len(unmapped_names)} joints of the rig are not in the take: "
     hint = "they stay at rest"
     return notices + _names_notice(
-        "USD111", message, unmapped_names, where, hint, Severity.NOTE
+        "USD111", message, unmapped_names, location, hint, Severity.NOTE
     )
 
 
@@ -263,7 +265,7 @@ def match_shapes(
         name if name not in matched_names[:i] else shape_name
         for i, (shape_name, name) in enumerate(zip(shapes, matched_names, strict=True))
     ]
-    where = str(target.path)
+    location = str(target.path)
     original_names = usd_names or {}
     unknown_names = [
         name
@@ -272,13 +274,13 @@ def match_shapes(
     ]
     message = f"{len(unknown_names)} shapes of the take are on no mesh of the rig: "
     hint = "their weights have no effect there"
-    notices = _names_notice("USD114", message, unknown_names, where, hint)
+    notices = _names_notice("USD114", message, unknown_names, location, hint)
     respelled_names = [
         f"{a} as {b}" for a, b in zip(shapes, matched_names, strict=True) if a != b
     ]
     message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
     notices += _names_notice(
-        "USD118", message, respelled_names, where, None, Severity.NOTE
+        "USD118", message, respelled_names, location, None, Severity.NOTE
     )
     return tuple(matched_names), notices
 

@@ -43,14 +43,14 @@ from animtool.usd.rigs.skeleton import STRANDS_SCOPE, author_influences
 MAX_INDEXED_FRACTION = 0.75
 
 # Linear colors of meshes in order, and of bones.
-COLORS = (
+MESH_COLORS = (
     (0.42, 0.45, 0.49),
     (0.49, 0.36, 0.27),
     (0.31, 0.42, 0.36),
     (0.43, 0.35, 0.46),
 )
 BONE_COLOR = (0.75, 0.72, 0.65)
-SUBDIVISION = {
+SUBDIVISION_TOKENS = {
     Subdivision.NONE: "none",
     Subdivision.CATMULL_CLARK: "catmullClark",
     Subdivision.LOOP: "loop",
@@ -152,7 +152,7 @@ def author_meshes(
     mesh_paths, original_names = mesh_names(surfaces, paths)
     for i, (path, surface) in enumerate(zip(mesh_paths, surfaces, strict=True)):
         spec = _author_mesh_prim(layer, path, surface, meters_per_unit)
-        _author_color(spec, COLORS[i % len(COLORS)])
+        _author_color(spec, MESH_COLORS[i % len(MESH_COLORS)])
         if path in original_names:
             spec.SetInfo("customData", {"animtool": {"name": original_names[path]}})
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
@@ -187,7 +187,7 @@ def _author_mesh_prim(
     author_mesh(
         spec,
         values,
-        subdivision=SUBDIVISION[surface.subdivision],
+        subdivision=SUBDIVISION_TOKENS[surface.subdivision],
         is_closed=is_closed(surface.counts, surface.indices),
     )
     return spec
@@ -211,8 +211,8 @@ def _stage_matrix(transform: FloatArray, meters_per_unit: float) -> Any:
     return Gf.Matrix4d(*rows.ravel().tolist())
 
 
-def _to_float32(values: FloatArray, where: str) -> Float32Array:
-    labels = ValueLabels(where, "point")
+def _to_float32(values: FloatArray, label: str) -> Float32Array:
+    labels = ValueLabels(label, "point")
     return np.ascontiguousarray(narrow_floats(values, "f", labels))
 
 

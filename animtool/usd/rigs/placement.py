@@ -115,8 +115,8 @@ def skeleton_placement(
     if is_animated:
         layer_matrices = _without_root_motion(skeleton, time_codes, all_matrices)
     if not np.isfinite(all_matrices).all() or not np.isfinite(layer_matrices).all():
-        where = PrimLocation("", str(skeleton.GetPath()))
-        where.fail("USD171", "the Skeleton's transform is not finite")
+        location = PrimLocation("", str(skeleton.GetPath()))
+        location.fail("USD171", "the Skeleton's transform is not finite")
     stage_units = _StageUnits.from_skeleton(skeleton, rig, all_matrices[0])
     fixed_placement = stage_units.placement(layer_matrices)
     # A single frame cannot show whether the placement is animated.
@@ -288,7 +288,7 @@ def _find_unsupported_reason(matrices: FloatArray) -> str:
     return " and ".join(texts)
 
 
-def refuse_unsupported(placement: SkeletonPlacement, where: PrimLocation) -> None:
+def refuse_unsupported(placement: SkeletonPlacement, location: PrimLocation) -> None:
     """Refuse a placement that joints cannot represent (USD035)."""
     if not placement.unsupported_reason:
         return
@@ -296,11 +296,11 @@ def refuse_unsupported(placement: SkeletonPlacement, where: PrimLocation) -> Non
         f"the character {placement.unsupported_reason}, which joints cannot represent"
     )
     hint = f"scale it uniformly, or drop its placement: {argument('placement', 'drop')}"
-    raise FormatError(where.fault("USD035", message, hint))
+    raise FormatError(location.fault("USD035", message, hint))
 
 
 def unsupported_notice(
-    placement: SkeletonPlacement, where: PrimLocation
+    placement: SkeletonPlacement, location: PrimLocation
 ) -> list[Fault]:
     """Return a warning about a transform that joints cannot represent (USD109)."""
     if not placement.unsupported_reason:
@@ -310,10 +310,10 @@ def unsupported_notice(
         "the transform is ignored"
     )
     hint = "scale it uniformly where it is placed"
-    return [where.fault("USD109", message, hint, Severity.WARNING)]
+    return [location.fault("USD109", message, hint, Severity.WARNING)]
 
 
-def unit_mismatch_notice(placement: SkeletonPlacement, where: str) -> list[Fault]:
+def unit_mismatch_notice(placement: SkeletonPlacement, file_path: str) -> list[Fault]:
     """Return a notice if rig and stage units or up axes differ (USD110)."""
     if not placement.unit_mismatch:
         return []
@@ -322,7 +322,7 @@ def unit_mismatch_notice(placement: SkeletonPlacement, where: str) -> list[Fault
         "them: using the rig's"
     )
     hint = "the shot's own transform must match them"
-    return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
+    return [Fault("USD110", message, file_path, (), hint, Severity.NOTE)]
 
 
 NO_PLACEMENT = SkeletonPlacement(
@@ -330,14 +330,16 @@ NO_PLACEMENT = SkeletonPlacement(
 )
 
 
-def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:
+def rest_rig(
+    rig: Rig, placement: SkeletonPlacement, placement_choice: str | None = None
+) -> Rig:
     """Return a rig whose rest pose is at its stage placement.
 
-    With ``drop`` as ``choice`` the rig is only scaled and upright; None keeps its
-    position and heading.
+    With ``drop`` as ``placement_choice`` the rig is only scaled and upright; None keeps
+    its position and heading.
     """
     sized_rig = transform_rig(rig, placement.upright_placement)
-    if choice == DROP_PLACEMENT:
+    if placement_choice == DROP_PLACEMENT:
         return sized_rig
     heading_placement = placement.heading_placement
     rig_at_rest = transform_rig(rig, placement.rest_placement)

@@ -62,7 +62,7 @@ def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, A
 
 
 def apply_recorded_rest(
-    rig: Rig, skeleton: Any, animation: Any, where: PrimLocation
+    rig: Rig, skeleton: Any, animation: Any, location: PrimLocation
 ) -> Rig:
     """Return a rig at the rest placement that is recorded in customData.
 
@@ -70,11 +70,15 @@ def apply_recorded_rest(
         rig: The rig.
         skeleton: Prim with the rest pose; None for none.
         animation: Prim with the motion; None is the rest pose.
-        where: Location for faults.
+        location: Location for faults.
     """
-    rest_placement = None if skeleton is None else _recorded_placement(skeleton, where)
+    rest_placement = (
+        None if skeleton is None else _recorded_placement(skeleton, location)
+    )
     motion_placement = (
-        rest_placement if animation is None else _recorded_placement(animation, where)
+        rest_placement
+        if animation is None
+        else _recorded_placement(animation, location)
     )
     if motion_placement is None:
         return rig
@@ -93,7 +97,7 @@ def apply_recorded_rest(
 
 
 def _recorded_placement(
-    prim: Any, where: PrimLocation
+    prim: Any, location: PrimLocation
 ) -> tuple[Placement, bool] | None:
     """Return a prim's recorded placement and whether it is animated; None if absent."""
     # Writing does not need stages.
@@ -107,12 +111,12 @@ def _recorded_placement(
         for key in ("translate", "rotate")
     )
     if not isinstance(position, Gf.Vec3d) or not isinstance(orientation, Gf.Quatd):
-        where.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
+        location.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
     rotation = np.array([*orientation.GetImaginary(), orientation.GetReal()], float)
     translation = np.array(position, float)
     length = float(np.linalg.norm(rotation))
     if not np.isfinite(translation).all() or not abs(length - 1.0) < 1e-3:
-        where.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
+        location.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
     placement = Placement(translation[None], rotation[None] / length, np.ones(1))
     return placement, bool(record.get("rides", False))
 

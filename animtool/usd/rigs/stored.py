@@ -215,7 +215,7 @@ def _merge_shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
 
 
 def _merge_skeleton(
-    stored_rig: Rig, usd_rig: Rig, where: str
+    stored_rig: Rig, usd_rig: Rig, file_path: str
 ) -> tuple[Rig, list[Fault]]:
     stored_joints = {joint.name: joint for joint in stored_rig.joints}
     parents = {
@@ -252,7 +252,7 @@ def _merge_skeleton(
         message += f"; joints that differ: {listed(changed_names)}"
     if removed_names:
         message += f"; removed: {listed(removed_names)}"
-    notice = Fault("USD117", message, where, severity=Severity.WARNING)
+    notice = Fault("USD117", message, file_path, severity=Severity.WARNING)
     return _remove_joints(
         replace(stored_rig, joints=tuple(joints), bind=usd_rig.bind), removed_names
     ), [notice]
@@ -335,11 +335,11 @@ def read_rig(path: Path) -> Rig:
 
 
 def read_rig_with_data(
-    path: Path, prim_path: str | None = None, choice: str | None = None
+    path: Path, prim_path: str | None = None, placement_choice: str | None = None
 ) -> tuple[Rig, list[Fault]]:
     """Return the rig of the first Skeleton below a prim, by default the default prim.
 
-    ``choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
+    ``placement_choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
 
     The rig has bind pose, meshes, shapes, strands, and the customData that USD cannot
     express.
@@ -375,7 +375,7 @@ def read_rig_with_data(
         )
         placement = local_placement(skeleton.GetPrim(), usd_skeleton.rig)
         notices += unsupported_notice(placement, where)
-        rig_at_rest = rest_rig(full_rig, placement, choice)
+        rig_at_rest = rest_rig(full_rig, placement, placement_choice)
         return rig_at_rest, notices + edit_notices + dropped_notices
 
 
@@ -410,7 +410,9 @@ def _bind_poses(
     return poses, scales
 
 
-def _scale_notice(rig: SkeletonRig, bind_scales: FloatArray, where: str) -> list[Fault]:
+def _scale_notice(
+    rig: SkeletonRig, bind_scales: FloatArray, file_path: str
+) -> list[Fault]:
     """Report joints with a scale in the rest or bind pose, which rigs cannot store."""
     deviations = np.abs(np.stack([rig.rest_scales, bind_scales]) - 1.0).max(axis=(0, 2))
     names = [rig.rig.names[j] for j in np.flatnonzero(deviations > SCALE_TOLERANCE)]
@@ -418,4 +420,4 @@ def _scale_notice(rig: SkeletonRig, bind_scales: FloatArray, where: str) -> list
         return []
     message = f"the scale of rest or bind transforms is ignored: {listed(names)}"
     hint = "a rig cannot store it; a take of the file itself, and its meshes, keep it"
-    return [Fault("USD120", message, where, (), hint, Severity.WARNING)]
+    return [Fault("USD120", message, file_path, (), hint, Severity.WARNING)]

@@ -42,8 +42,8 @@ class RigSpaceTake:
 def convert_to_rig_space(
     stream: TakeStream,
     placement_at: Callable[[FloatArray | None], SkeletonPlacement],
-    choice: str | None,
-    where: str,
+    placement_choice: str | None,
+    file_path: str,
     local_rig: Rig,
 ) -> RigSpaceTake:
     """Return a take in the space of a rig that a stage places.
@@ -55,14 +55,14 @@ def convert_to_rig_space(
         stream: The take, with the up axis of the rig.
         placement_at: Returns the rig's stage placement at time codes; None is the
             first.
-        choice: ``keep`` or ``drop``. None drops it if the rig is placed, unless the
-            take follows an animated prim that the rig does not follow.
-        where: Path of the rig layer, for notices.
+        placement_choice: ``keep`` or ``drop``. None drops it if the rig is placed,
+            unless the take follows an animated prim that the rig does not follow.
+        file_path: Path of the rig layer, for notices.
         local_rig: The rig in local space.
     """
     rig_placement = placement_at(None)
-    location = PrimLocation(where, "")
-    if choice == KEEP_PLACEMENT:
+    location = PrimLocation(file_path, "")
+    if placement_choice == KEEP_PLACEMENT:
         refuse_unsupported(rig_placement, location)
     notices = unsupported_notice(rig_placement, location)
     scale_notices = [notice for notice in stream.notices if notice.code == "USD109"]
@@ -83,7 +83,7 @@ def convert_to_rig_space(
     is_transformed = (
         rig_placement.is_animated or not rig_placement.fixed_placement.is_identity
     )
-    if choice is None and _is_rest_placed(rig, local_rig, rig_placement):
+    if placement_choice is None and _is_rest_placed(rig, local_rig, rig_placement):
         # The values include the rig's placement, although it is not recorded.
         rig = replace(
             rig,
@@ -92,25 +92,28 @@ def convert_to_rig_space(
         )
         stream = replace(stream, rig=rig)
     has_no_rest = (
-        not rig.has_rest and rig.placement is None and choice != KEEP_PLACEMENT
+        not rig.has_rest
+        and rig.placement is None
+        and placement_choice != KEEP_PLACEMENT
     )
     if has_no_rest and _has_world_lengths(
         rig, local_rig, rig_placement.upright_placement.size
     ):
-        has_no_rest, choice = False, choice or KEEP_PLACEMENT
+        has_no_rest, placement_choice = False, placement_choice or KEEP_PLACEMENT
     # Without a rest pose the take is in the space of its rig, which is this one.
     is_in_rig_space = (
         bool(rig_placement.unsupported_reason) or has_no_rest or not is_transformed
     )
     has_placement = rig_placement.is_animated or not heading_placement.is_identity
     if is_in_rig_space:
-        keeps_placement = choice != DROP_PLACEMENT
+        keeps_placement = placement_choice != DROP_PLACEMENT
     else:
-        keeps_placement = choice == KEEP_PLACEMENT or (
-            choice is None and (stream.rig.has_animated_parents or not has_placement)
+        keeps_placement = placement_choice == KEEP_PLACEMENT or (
+            placement_choice is None
+            and (stream.rig.has_animated_parents or not has_placement)
         )
     notices += placement_notice(
-        rig, where, is_kept=keeps_placement, rig_placement=heading_placement
+        rig, file_path, is_kept=keeps_placement, rig_placement=heading_placement
     )
     if not keeps_placement:
         stream = remove_placement(stream)

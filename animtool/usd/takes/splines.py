@@ -125,17 +125,17 @@ def author_curve(
     """
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("at least one curve needs a key")
-    spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
+    spline, attribute_path = Ts.Spline("double"), f"{prim_path}.{name}"
     segments_by_key = [_build_segments(curves, i) for i in range(len(curves.times) - 1)]
     segments = [
         segment for segment_parts in segments_by_key for segment in segment_parts
     ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
-        for knot in _build_knots(segments, curves, where):
+        for knot in _build_knots(segments, curves, attribute_path):
             spline.SetKnot(knot)
         extrapolations = (curves.pre[0], -1), (curves.post[0], 1)
         pre_extrapolation, post_extrapolation = (
-            _build_extrapolation(mode, curves, evaluate, side, where)
+            _build_extrapolation(mode, curves, evaluate, side, attribute_path)
             for mode, side in extrapolations
         )
         spline.SetPreExtrapolation(pre_extrapolation)
@@ -246,7 +246,7 @@ def _split_bezier(points: FloatArray, u: float) -> list[FloatArray]:
 
 
 def _build_knots(
-    segments: list[_CurveSegment], curves: Curves, where: str
+    segments: list[_CurveSegment], curves: Curves, attribute_path: str
 ) -> list[Any]:
     """Return the spline knots at the ends of all segments."""
     segment_starts = [
@@ -271,7 +271,9 @@ def _build_knots(
                 )
                 fields |= {"postTanWidth": width, "postTanSlope": slope}
         numbers = [n for n in (time, value, *fields.values()) if isinstance(n, float)]
-        check_value(numbers, "d", ValueLabels(where, f"the knot at {time:.10g}"))
+        check_value(
+            numbers, "d", ValueLabels(attribute_path, f"the knot at {time:.10g}")
+        )
         knots.append(Ts.Knot("double", time=time, value=value, **fields))
         previous = segment
     return knots
@@ -288,7 +290,7 @@ def _build_extrapolation(
     curves: Curves,
     evaluate: EvaluateCurve,
     direction: int,
-    where: str,
+    attribute_path: str,
 ) -> Any:
     extrapolation = Ts.Extrapolation(_EXTRAPOLATION[mode])
     if mode is Extrapolation.LINEAR:
@@ -297,7 +299,9 @@ def _build_extrapolation(
         far_time = edge_time + direction * 1024.0 * magnitude
         edge_value, far_value = evaluate(np.array([edge_time, far_time])).tolist()
         slope = (far_value - edge_value) / (far_time - edge_time)
-        check_value(slope, "d", ValueLabels(where, "the slope outside the keys"))
+        check_value(
+            slope, "d", ValueLabels(attribute_path, "the slope outside the keys")
+        )
         extrapolation.slope = slope
     return extrapolation
 

@@ -19,7 +19,7 @@ def grid(*rows: str) -> NavGrid:
 def test_nodes_are_numbered_along_z_and_then_x() -> None:
     own = grid("....", "....", "....")
     assert_allclose(
-        NavGrid.nodes(LOW, 0.5, (2, 2)),
+        NavGrid.all_positions(LOW, 0.5, (2, 2)),
         [[10, -4], [10, -3.5], [10.5, -4], [10.5, -3.5]],
     )
     assert_allclose(
@@ -84,7 +84,7 @@ def test_ways_go_round_walls_and_end_at_the_goal_or_the_node_next_to_it() -> Non
     )
     # Straight ahead what is seen, and along the wall what is not.
     points = np.array([[10.0, -3.0], [11.0, -4.0]])
-    found = route.directions(points, np.array([goal, goal]))
+    found = route.path_directions(points, np.array([goal, goal]))
     assert_allclose(found[0], [0, -1], atol=1e-9)
     assert found[1, 1] > 0.7
 
@@ -100,5 +100,5 @@ def test_a_way_longer_by_up_to_a_cell_and_a_half_is_straight() -> None:
         far -= 0.1 * np.arange(5)
         far[0, 0] = np.sqrt(2) + longer * 0.5
         goals = np.array([[0.0, 0.0], goal[0]])
-        found = FlowField(own, goals, far).directions(point, goal)
+        found = FlowField(own, goals, far).path_directions(point, goal)
         assert_allclose(found, [way], atol=1e-9)

@@ -12,8 +12,7 @@ from animtool.core.errors import Severity
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
 from animtool.systems.flocks.flock import FlockForces
 from animtool.systems.flocks.members import Members
-from animtool.systems.flocks.rules import build_rules, periodic_box
-from animtool.systems.flocks.spacing import Spacing
+from animtool.systems.flocks.rules import Spacing, build_rules, periodic_box
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 from animtool.systems.flocks.steering import (
     avoidance_accelerations,
