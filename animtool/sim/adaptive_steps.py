@@ -37,7 +37,7 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
     """Try a step; accept it if its error estimate is within the tolerance."""
     step_function = run.integrator.step
     assert step_function is not None
-    run.equations.anchor(run.time, run.state)
+    run.equations.set_anchor(run.time, run.state)
     trial = _initial_step(run) if run.trial is None else run.trial
     if run.options.step is not None:
         trial = min(trial, run.options.step)

@@ -120,7 +120,7 @@ class EnergyWatch:
         """Replace the watched system, for example after particles were removed."""
         self._system = system
 
-    def divergence(self, t: float, state: FloatArray) -> str:
+    def divergence_reason(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"

@@ -24,7 +24,7 @@ CHECK_INTERVAL = 32
 class DivergenceWatch(Protocol):
     """Interface of an object that checks states for divergence."""
 
-    def divergence(self, t: float, state: FloatArray) -> str:
+    def divergence_reason(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
         ...
 
@@ -77,7 +77,7 @@ class IntegrationRun:
     def check_divergence(self) -> Status:
         """Check the state for divergence; return OK, or why the run stops."""
         self.checked_step_count = self.step_count
-        reason = self.divergence_watch.divergence(self.time, self.state)
+        reason = self.divergence_watch.divergence_reason(self.time, self.state)
         if reason:
             return self.stop(Status.UNSTABLE, reason)
         return self.budget_status()

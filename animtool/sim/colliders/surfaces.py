@@ -103,7 +103,9 @@ class _PreparedSheet:
     def __init__(self, sheet: Sheet, start: float) -> None:
         self.sheet = sheet
         points = sheet.motion.points(start)
-        self._indices, self._triangles = _weld(points, sheet.motion.triangles(start))
+        self._indices, self._triangles = _used_topology(
+            points, sheet.motion.triangles(start)
+        )
         self._cached_points: tuple[FloatArray, FloatArray] | None = None
         margin = sheet.radius if sheet.closed else 0.0
         self.material = (
@@ -129,7 +131,9 @@ class _PreparedSheet:
         return self._cached_points[1]
 
 
-def _weld(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
+def _used_topology(
+    points: FloatArray, triangles: IntArray
+) -> tuple[IntArray, IntArray]:
     """Return indices of the used points, and triangles without degenerate ones.
 
     Coincident points are merged, except in triangles that would become degenerate:

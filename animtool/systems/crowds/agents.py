@@ -26,7 +26,7 @@ from animtool.maths.rows import Rows
 from animtool.systems.crowds.ground import GroundFrame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.framework.groups import Groups, duplicate_names
-from animtool.systems.particles.emitter import Emitter, uniforms
+from animtool.systems.particles.emitter import Emitter, uniform_samples
 
 # Lowest preferred speed relative to the mean, and largest deviation from the mean in
 # standard deviations.
@@ -180,7 +180,7 @@ def _sample_population(
         refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
     agent_indices = np.arange(count)
-    randoms = uniforms(population.seed, agent_indices, 10)
+    randoms = uniform_samples(population.seed, agent_indices, 10)
     randoms, body_randoms = np.split(randoms, [6], axis=1)
     group_size = population.group
     if points is None:

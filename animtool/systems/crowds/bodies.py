@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.footing import Blend, BodyState, Footing, limit_landings
 from animtool.systems.crowds.gaits import PHASE_COUNT, weighted_sum
-from animtool.systems.crowds.ground import ground_at, rotate_about_y, wrap_angles
+from animtool.systems.crowds.ground import rotate_about_y, sample_ground, wrap_angles
 from animtool.systems.crowds.reach import MAX_CYCLE_RATE, LegReach, Stances, step_rates
 from animtool.systems.crowds.shoulders import Trunk
 
@@ -289,8 +289,8 @@ class AgentBodies(Footing):
         offsets = rotate_about_y(offsets, -motion.headings[:, None])
         feet[..., [0, 2]] = offsets / self.scales[:, None, None]
         feet[..., 3] = wrap_angles(state.places[..., 2] - motion.headings[:, None])
-        heights, _ = ground_at(self.ground, state.places[..., :2].reshape(-1, 2))
-        body_height, _ = ground_at(self.ground, motion.points)
+        heights, _ = sample_ground(self.ground, state.places[..., :2].reshape(-1, 2))
+        body_height, _ = sample_ground(self.ground, motion.points)
         feet[..., 1] = heights.reshape(-1, 2) - body_height[:, None]
         feet[..., 1] /= self.scales[:, None]
         thighs = self.leg_reach.thighs(phases, blend.weights, state.still)

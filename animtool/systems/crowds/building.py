@@ -40,20 +40,20 @@ MAX_CLEARING_PASSES = 20
 
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     """Build the crowd of a spec; raise SIM145 if the spec is invalid."""
-    begin, parts = context.begin, context.parts["populations"]
+    begin, population_data = context.begin, context.parts["populations"]
     frame, ground = read_ground(context)
     if context.colliders.sheets:
         message = "crowds avoid shapes, rigid bodies and the capsules of characters"
         hint = "use its colliders instead of the surface"
         refuse("SIM145", message, "systems", hint)
-    agents, notices = build_agents(spec, parts, begin, frame)
+    agents, notices = build_agents(spec, population_data, begin, frame)
     steering, obstacles = _build_steering(spec, agents, frame, ground, context)
     start_points, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
     notices += moved_warnings
     notices += unreachable_goal_warnings(
         spec, agents, steering, obstacles, start_points, begin
     )
-    prototypes = [part.get("shows") for part in parts]
+    prototypes = [data.get("shows") for data in population_data]
     meshes_by_prototype = {show: show() for show in prototypes if show is not None}
     sources = list(meshes_by_prototype)
     mesh_indices = [sources.index(show) if show else 0 for show in prototypes]
@@ -120,7 +120,7 @@ def _build_bodies(
     context: SimContext,
 ) -> tuple[AgentCast | None, FallSimulator | None]:
     """Return bodies if populations have gaits, and ragdolls if colliders move."""
-    gait_sources = [part.get("gaits") for part in context.parts["populations"]]
+    gait_sources = [data.get("gaits") for data in context.parts["populations"]]
     gaits = [source for source in gait_sources if source is not None]
     if not gaits:
         return None, None

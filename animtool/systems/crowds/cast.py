@@ -21,10 +21,10 @@ from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import (
     GroundFrame,
-    Heights,
+    GroundSampler,
     Terrain,
-    ground_at,
     rotations_about_y,
+    sample_ground,
 )
 from animtool.systems.crowds.poses import body_poses
 
@@ -54,7 +54,7 @@ class AgentCast:
     def from_sources(
         agents: Agents,
         sources: Sequence[Callable[[], Gaits]],
-        ground: Heights,
+        ground: GroundSampler,
         *,
         can_fall: bool,
     ) -> AgentCast:
@@ -122,7 +122,7 @@ class AgentCast:
         state: BodyState,
         motion: AgentMotion,
         frame: GroundFrame,
-        ground: Heights,
+        ground: GroundSampler,
         agent: int,
     ) -> WorldTransforms:
         """Return the world transforms of an agent's joints, as one frame."""
@@ -136,7 +136,7 @@ class AgentCast:
         world = forward_kinematics(rig, positions, poses.rotations)
         heading = rotations_about_y(motion.headings[row])
         rotation = so3.multiply(frame.rotation, heading)
-        heights, _ = ground_at(ground, motion.points[row])
+        heights, _ = sample_ground(ground, motion.points[row])
         origin = np.insert(motion.points[row], 1, heights, axis=1)
         matrix = so3.to_matrix(rotation)
         positions = so3.rotate(rotation, scales[:, None, None] * world.positions)

@@ -24,8 +24,8 @@ from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, AgentMotion, Agent
 from animtool.systems.crowds.ground import (
     GroundFrame,
     Terrain,
-    ground_at,
     rotations_about_y,
+    sample_ground,
     wrap_angles,
 )
 from animtool.systems.crowds.obstacles import Obstacles, Walls
@@ -255,7 +255,7 @@ class Crowd:
         else:
             ids = np.arange(len(is_visible))
         x, v = state.points[ids], state.velocities[ids]
-        heights, normals = ground_at(self.ground, x)
+        heights, normals = sample_ground(self.ground, x)
         # Velocities are along the ground.
         rise = -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
         frame = self.ground_frame

@@ -13,9 +13,9 @@ from animtool.maths.rows import Rows
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.gaits import Gaits, swing_progress
 from animtool.systems.crowds.ground import (
-    Heights,
-    ground_at,
+    GroundSampler,
     rotate_about_y,
+    sample_ground,
     wrap_angles,
 )
 
@@ -70,7 +70,7 @@ class Footing:
 
     gaits: Gaits
     scales: FloatArray  # size of each body relative to its rig (N,)
-    ground: Heights
+    ground: GroundSampler
 
     def find_landings(
         self,
@@ -127,7 +127,7 @@ class Footing:
         feet = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
         foothold_distances = np.zeros((len(state.phases), 2))
-        ground_heights, _ = ground_at(self.ground, motion.points)
+        ground_heights, _ = sample_ground(self.ground, motion.points)
         footholds = state.places.copy()
         for k in range(2):
             is_swinging = state.swings[:, k] >= 0
@@ -138,9 +138,9 @@ class Footing:
             lengths = np.linalg.norm(stride[:, :2], axis=1)[:, None]
             distances = (lengths * np.hstack([fraction, 1 - fraction])).min(axis=1)
             foothold_distances[:, k] = np.where(is_swinging, distances, 0.0)
-            start_height, start_normal = ground_at(self.ground, start[:, :2])
-            target_height, target_normal = ground_at(self.ground, target[:, :2])
-            ground_height, _ = ground_at(self.ground, footholds[:, k, :2])
+            start_height, start_normal = sample_ground(self.ground, start[:, :2])
+            target_height, target_normal = sample_ground(self.ground, target[:, :2])
+            ground_height, _ = sample_ground(self.ground, footholds[:, k, :2])
             height = start_height + fraction[:, 0] * (target_height - start_height)
             height = np.maximum(height, ground_height)
             height = np.where(is_swinging, height, start_height)

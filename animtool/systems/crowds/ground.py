@@ -32,7 +32,9 @@ def rotate_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
 
-def ground_at(ground: Heights, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def sample_ground(
+    ground: GroundSampler, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return heights and normals of the ground; beyond its edge, heights are 0."""
     heights, normals = ground(points)
     return np.where(np.isfinite(heights), heights, 0.0), normals
@@ -43,7 +45,7 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
-class Heights(Protocol):
+class GroundSampler(Protocol):
     """Interface of the ground as a height field."""
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:

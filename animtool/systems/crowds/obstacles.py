@@ -20,14 +20,14 @@ from animtool.systems.crowds.ground import (
     GroundFrame,
     Terrain,
     find_walkable_nodes,
-    ground_at,
+    sample_ground,
 )
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
 # For N agents the gaps to an obstacle ``(N,)`` [m], directions from it ``(N, 2)``, and
 # closing speeds ``(N,)`` [m/s].
-Gaps: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+AgentGaps: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
 # Smallest horizontal component of the normal of a wall; surfaces with less are floors
 # or ceilings.
@@ -96,12 +96,12 @@ class Obstacles:
         starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
         return Walls(starts, wall_rows, agents_of_walls, gaps, closing_speeds)
 
-    def _collider_gaps(self, t: float, dt: float, x: FloatArray) -> list[Gaps]:
+    def _collider_gaps(self, t: float, dt: float, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of all colliders."""
         if not self.colliders.rigid_colliders:
             return []
         radii, body_heights = self.agents.radii, self.agents.heights
-        base_heights, _ = ground_at(self.ground, x)
+        base_heights, _ = sample_ground(self.ground, x)
         return [
             (distances - radii, directions, speeds)
             for distances, directions, speeds in capsule_distances(
@@ -117,7 +117,7 @@ class Obstacles:
         """
         radius = float(self.agents.radii.max(initial=0.0))
         height = float(self.agents.heights.max(initial=radius))
-        base = float(ground_at(self.ground, position)[0][0])
+        base = float(sample_ground(self.ground, position)[0][0])
         low, high = base + radius, base + max(height - radius, radius)
         x, z = position[0]
         points = np.array([[x, y, z] for y in (low, (low + high) / 2, high)])
@@ -130,11 +130,11 @@ class Obstacles:
 
     def world_text(self, x: FloatArray) -> str:
         """Return the position of x and z on the ground ``(2,)`` as text."""
-        height = float(ground_at(self.ground, x[None])[0][0])
+        height = float(sample_ground(self.ground, x[None])[0][0])
         point = self.frame.to_world(np.array([[x[0], height, x[1]]]))[0]
         return f"{vector_text(point)} m"
 
-    def _door_gaps(self, t: float, x: FloatArray) -> list[Gaps]:
+    def _door_gaps(self, t: float, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of closed doors."""
         doors = []
         for door, (a, b) in zip(self.doors, self.door_ends, strict=True):
@@ -149,7 +149,7 @@ class Obstacles:
             doors.append((distances - self.agents.radii, directions, np.zeros(len(x))))
         return doors
 
-    def _edge_gaps(self, x: FloatArray) -> list[Gaps]:
+    def _edge_gaps(self, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of the edge of the ground."""
         if self.edge_grid is None:
             return []
@@ -166,7 +166,7 @@ def capsule_distances(
     body_heights: FloatArray,
     t: float,
     dt: float,
-) -> list[Gaps]:
+) -> list[AgentGaps]:
     """Return horizontal distances of colliders from upright capsules.
 
     For each collider it returns distances ``(K,)`` from the axes [m], infinite for

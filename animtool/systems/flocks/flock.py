@@ -39,7 +39,7 @@ from animtool.systems.flocks.steering import (
 )
 from animtool.systems.framework.interacting import integrate_step
 from animtool.systems.framework.simulation import Diagnostics, SimContext
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 from animtool.systems.particles.forces.base import Force
 
 GRAVITY = 9.81  # [m/s²]
@@ -63,9 +63,9 @@ def initial_headings(members: Members, v: FloatArray) -> MemberHeadings:
     count = len(v)
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
-        uniforms(species.seed, np.arange(member_range.stop - member_range.start), 1)[
-            :, 0
-        ]
+        uniform_samples(
+            species.seed, np.arange(member_range.stop - member_range.start), 1
+        )[:, 0]
         for species, member_range in zip(
             members.entries, members.ranges_by_entry, strict=True
         )

@@ -75,14 +75,14 @@ class FluidState:
 
 def build(spec: FluidModel, context: SimContext) -> Fluid:
     """Build the fluid of a spec with its initial particles; raise SIM064 if invalid."""
-    data, colliders, begin = context.parts, context.colliders, context.begin
-    initial_motion = initial_fluid(spec, data.get("fills", ()), colliders, begin)
-    emitters = zip(spec.emitters, data.get("emitters", ()), strict=True)
+    entry_data, colliders, begin = context.parts, context.colliders, context.begin
+    initial_motion = initial_fluid(spec, entry_data.get("fills", ()), colliders, begin)
+    emitters = zip(spec.emitters, entry_data.get("emitters", ()), strict=True)
     nozzles = [
         Nozzle(spec, emitter, part["poses"], begin) for emitter, part in emitters
     ]
     notices = colliders.notices()
-    notices += coarse_drop_warnings(spec, data.get("fills", ()))
+    notices += coarse_drop_warnings(spec, entry_data.get("fills", ()))
     if spec.surface is not None:
         from animtool.systems.fluid.surface import check_surface
 
@@ -91,10 +91,10 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
         spec,
         begin,
         colliders,
-        data.get("forces", ()),
+        entry_data.get("forces", ()),
         initial_motion,
         nozzles,
-        [Colliders([drain.as_solid()]) for drain in data.get("drains", ())],
+        [Colliders([drain.as_solid()]) for drain in entry_data.get("drains", ())],
         notices,
     )
 

@@ -143,7 +143,9 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         ``forces_key`` is the key of external forces in the spec.
         """
         self._spec, self._begin, self._time_scale = spec, context.begin, time_scale
-        poses = [parts["poses"] for parts in context.parts.get(forces_key, ())]
+        poses = [
+            force_data["poses"] for force_data in context.parts.get(forces_key, ())
+        ]
         self.external_forces = list(zip(getattr(spec, forces_key), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)
         self._options = IntegrateOptions(spec.method, spec.step * time_scale, tolerance)

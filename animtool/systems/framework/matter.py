@@ -71,13 +71,13 @@ class PointMasses(Rows):
 
     @staticmethod
     def read(
-        parts: Mapping[str, Any], mass: float, noun: str, code: str, location: str
+        arrays: Mapping[str, Any], mass: float, noun: str, code: str, location: str
     ) -> PointMasses:
         """Return bodies from arrays of files, by default at rest and of equal mass."""
-        check_body_arrays(parts, noun, code, location)
-        points, velocities = parts["points"], parts.get("velocities")
+        check_body_arrays(arrays, noun, code, location)
+        points, velocities = arrays["points"], arrays.get("velocities")
         velocities = np.zeros(points.shape) if velocities is None else velocities
-        masses = parts.get("masses")
+        masses = arrays.get("masses")
         masses = np.full(len(points), mass) if masses is None else masses
         if (masses <= 0).any():
             i = int(np.argmax(masses <= 0))

@@ -93,10 +93,10 @@ class SystemSpec(FileModel):
         counts = {name: len(getattr(self, name)) for name in self.components}
         return {name: count for name, count in counts.items() if count}
 
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return the faults of conflicting keys, with the key as ``location``.
+    def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
+        """Return the faults of conflicting keys, with the key as ``where``.
 
-        ``parts`` is the data read for the keys, as in a `SimContext`.
+        ``entry_data`` is the data read for the keys, as in a `SimContext`.
         """
         faults = [
             Fault(self.code, message, hint=hint, where=location)
@@ -109,12 +109,15 @@ class SystemSpec(FileModel):
         """Yield conflicts between keys that need no other files to detect."""
         yield from ()
 
-    def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
+    def build_record(
+        self,
+        entry_data: Mapping[str, Any],  # noqa: ARG002
+    ) -> tuple[Any, Sequence[Fault]]:
         """Return the record and the faults of the entry when the file is read.
 
         A kind with properties beyond its keys, or that can be joined to others, returns
         an `EntryRecord`, or None if it cannot be built; `build` gets it from
-        `SimContext.members`. ``parts`` is the data read for the keys, as in a
+        `SimContext.members`. ``entry_data`` is the data read for the keys, as in a
         `SimContext`; data that cannot be read is None.
         """
         return None, ()

@@ -13,7 +13,7 @@ from animtool.core.errors import RefusalCollector, refuse
 from animtool.core.record import dataclass
 from animtool.systems.framework.matter import PointMasses, UnitFrame, normal_samples
 from animtool.systems.molecules.spec import MoleculesModel
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 # Boltzmann's constant [kJ/(mol K)].
 BOLTZMANN_CONSTANT = 0.00831446261815324
@@ -57,13 +57,15 @@ class Atoms(PointMasses):
 
     @staticmethod
     def from_spec(
-        spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: PeriodicBox
+        spec: MoleculesModel,
+        species_data: Sequence[Mapping[str, Any]],
+        box: PeriodicBox,
     ) -> Atoms:
         """Return the atoms of a spec; raise SIM071 if they are invalid."""
         initial_motions, refusals = [], RefusalCollector()
         for model, part in zip(spec.species, parts, strict=True):
             with refusals.collect():
-                initial_motions.append(_read_motion(model, part, box))
+                initial_motions.append(_read_motion(model, atom_data, box))
         refusals.check()
         lattice_species = [
             k for k, (points, _) in enumerate(initial_motions) if points is None
@@ -98,10 +100,10 @@ class Atoms(PointMasses):
 
 
 def _read_motion(
-    model: Any, parts: Mapping[str, Any], box: PeriodicBox
+    model: Any, arrays: Mapping[str, Any], box: PeriodicBox
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Return positions [nm] and velocities [nm/ps] from files, or None."""
-    points, velocities = parts.get("points"), parts.get("velocities")
+    points, velocities = arrays.get("points"), arrays.get("velocities")
     if points is None:
         if velocities is not None:
             message = "velocities need points"
@@ -109,7 +111,7 @@ def _read_motion(
         return None, None
     atom_label = f"{model.name!r}, atom"
     point_masses = PointMasses.read(
-        parts, model.mass, atom_label, MoleculesModel.code, "species"
+        arrays, model.mass, atom_label, MoleculesModel.code, "species"
     )
     x = box.to_local(points)
     tolerance = 1e-9 * box.size
@@ -149,7 +151,7 @@ def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     site_indices = np.arange(total) * len(sites) // total
     order = np.arange(total)
     if len(counts) > 1 and spec.lattice == "fcc":
-        randoms = uniforms(spec.seed, np.arange(total), 1)[:, 0]
+        randoms = uniform_samples(spec.seed, np.arange(total), 1)[:, 0]
         order = np.argsort(randoms, kind="stable")
     elif len(counts) > 1:
         cell_parities = corners[site_indices].sum(axis=1) % 2
@@ -176,7 +178,7 @@ def _initial_velocities(
     count = int(is_thermal.sum())
     if count < 2 or not spec.temperature:
         return velocities
-    u = uniforms(spec.seed + _VELOCITY_SEED, np.flatnonzero(is_thermal), 3)
+    u = uniform_samples(spec.seed + _VELOCITY_SEED, np.flatnonzero(is_thermal), 3)
     m = masses[is_thermal][:, None]
     v = normal_samples(u) / np.sqrt(m)
     v -= (m * v).sum(axis=0) / m.sum()

@@ -25,7 +25,7 @@ from animtool.systems.molecules.atoms import (
     pair_coefficients,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
 MEGAPASCALS_PER_UNIT = 1.66053906717
@@ -340,7 +340,7 @@ def thermostat_factor(
         return 1.0
     times, temperatures = np.array(model.temperatures).T
     target = BOLTZMANN_CONSTANT * float(np.interp(t, times, temperatures)) / 2
-    randoms = uniforms(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
+    randoms = uniform_samples(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
     random, second_random = np.clip(randoms, 2.0**-53, 1 - 2.0**-53)
     normal = float(normal_samples(random))
     # Sum of squares of the other normal samples.

@@ -29,7 +29,7 @@ from animtool.systems.nbody.spec import (
     NbodyModel,
     SpheroidModel,
 )
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 # Number of radii at which profiles are tabulated.
 RADIUS_COUNT = 4096
@@ -46,8 +46,8 @@ class MassProfile:
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
         self.galaxy, self.constant = galaxy, constant
-        max_radius = max((p.radius * p.cutoff for p in galaxy.parts), default=1.0)
-        min_radius = min((p.radius for p in galaxy.parts), default=1.0)
+        max_radius = max((p.radius * p.cutoff for p in galaxy.components), default=1.0)
+        min_radius = min((p.radius for p in galaxy.components), default=1.0)
         self.r = np.geomspace(
             max(1e-4 * min_radius, 1e-250), 4 * max_radius, RADIUS_COUNT
         )
@@ -163,7 +163,7 @@ def _build_spheroid(
     spheroid: SpheroidModel, profile: MassProfile, seed: int
 ) -> PointMasses:
     """Return the bodies of a spheroid about its centre."""
-    u = uniforms(seed, np.arange(spheroid.count), 6)
+    u = uniform_samples(seed, np.arange(spheroid.count), 6)
     masses_inside = enclosed_mass(spheroid, profile.r)
     r = np.interp(u[:, 0] * spheroid.mass, masses_inside, profile.r)
     sigma = np.interp(r, profile.r, profile.velocity_dispersion(spheroid))
@@ -178,7 +178,7 @@ def _build_spheroid(
 
 def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
     """Return the bodies of a disc about its centre."""
-    u = uniforms(seed, np.arange(disc.count), 6)
+    u = uniform_samples(seed, np.arange(disc.count), 6)
     r = np.interp(u[:, 0] * disc.mass, enclosed_mass(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
     scale_height = disc.thickness * disc.radius

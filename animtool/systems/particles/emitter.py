@@ -37,7 +37,7 @@ def hash64(
     return np.asarray(z ^ (z >> np.uint64(31)))
 
 
-def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
+def uniform_samples(seed: int, keys: IntArray, count: int) -> FloatArray:
     """Return random numbers in [0, 1) that depend on a seed and keys ``(N, count)``.
 
     >>> bool((uniforms(1, np.arange(9), 2)[7] == uniforms(1, np.array([7]), 2)).all())
@@ -134,7 +134,7 @@ class Emitter(Emission, CheckedRecord):
         self, births: Births
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions, velocities ``(N, 3)``, lifetimes and radii ``(N,)``."""
-        randoms = uniforms(self.seed, births.keys, _RANDOM_COUNT)
+        randoms = uniform_samples(self.seed, births.keys, _RANDOM_COUNT)
         points, outwards = self.place.points(randoms[:, :3])
         directions = self._directions(randoms[:, 3:5], outwards)
         speeds = self.speed + self.speed_spread * (2 * randoms[:, 5] - 1)

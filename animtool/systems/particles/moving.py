@@ -274,7 +274,7 @@ class DivergenceCheck:
             energies, _ = particle_energies(self._setup, particles, state[:, is_moved])
             self._first_energies[:, is_moved] = energies
 
-    def divergence(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+    def divergence_reason(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"

@@ -6,15 +6,11 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Annotated
 
-import numpy as np
-
-from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.options import Range, range_faults
 from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
-from animtool.sim.colliders.colliding import Colliders
 from animtool.sim.colliders.sheets import Sheet
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.systems.particles.emitter import Emitter
@@ -36,11 +32,6 @@ class KillRegion:
     """
 
     region: Collider
-
-    def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return a mask ``(N,)`` of points in the region at a time [s]."""
-        distances = Colliders([self.region.as_solid()]).sample(points, t).distances[0]
-        return np.asarray(distances < 0, np.bool_)
 
 
 @dataclass(frozen=True)

@@ -102,25 +102,25 @@ class ParticlesModel(ForcedSpec):
             "max_particles": self.max_particles,
         }
 
-    def setup(self, parts: Mapping[str, Any]) -> Particles:
+    def setup(self, entry_data: Mapping[str, Any]) -> Particles:
         """Return the particle system, without colliders."""
         from animtool.sim.options import IntegrateOptions
         from animtool.systems.particles.setup import KillRegion, Particles
 
         return Particles(
-            parts["emitters"],
-            parts["forces"],
-            parts.get("velocity"),
-            kills=[KillRegion(region) for region in parts["kill"]],
+            entry_data["emitters"],
+            entry_data["forces"],
+            entry_data.get("velocity"),
+            kills=[KillRegion(region) for region in entry_data["kill"]],
             options=IntegrateOptions(self.method, self.step, self.tolerance),
             max_particles=self.max_particles,
             name=self.name,
         )
 
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
+    def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:
         """Return faults of keys and combinations (SIM001, SIM004, SIM005, SIM024)."""
         try:
-            self.setup(parts).check()
+            self.setup(entry_data).check()
         except OptionError as error:
             faults = error.faults
             return [replace(fault, where=fault.where or "method") for fault in faults]

@@ -66,7 +66,9 @@ class RigidBodies:
 
     @staticmethod
     def from_models(
-        models: Sequence[BodyModel], parts: Sequence[Mapping[str, Any]], begin: float
+        models: Sequence[BodyModel],
+        body_data: Sequence[Mapping[str, Any]],
+        begin: float,
     ) -> RigidBodies:
         """Return the bodies described by the models of a spec, copies included."""
         kinds: list[BodyKind] = []
@@ -74,7 +76,7 @@ class RigidBodies:
         used_names: set[str] = set()
         refusals = RefusalCollector()
         for entry_index, (model, entry_data) in enumerate(
-            zip(models, parts, strict=True)
+            zip(models, body_data, strict=True)
         ):
             location = entry_data.get("entry", f"bodies[{entry_index}]")
             origin = entry_data.get("origin")

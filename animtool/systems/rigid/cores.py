@@ -284,9 +284,11 @@ def _decompose(
     )
     pieces = []
     for vertices, faces in hulls:
-        piece = Mesh(np.asarray(vertices, np.float64), np.asarray(faces), closed=True)
+        part_mesh = Mesh(
+            np.asarray(vertices, np.float64), np.asarray(faces), closed=True
+        )
         try:
-            pieces.append((piece, core_of(piece)))
+            pieces.append((part_mesh, core_of(part_mesh)))
         except ValueError:
             # Pieces without volume support nothing.
             continue

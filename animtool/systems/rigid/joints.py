@@ -151,7 +151,7 @@ def _body_model(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyMod
 
 def build_joints(
     models: Sequence[RigidJointModel],
-    parts: Sequence[Mapping[str, Any]],
+    joint_data: Sequence[Mapping[str, Any]],
     bodies: RigidBodies,
 ) -> Joints:
     """Return the joints of a spec, once `check_joints` has passed.
@@ -161,7 +161,7 @@ def build_joints(
     joints: list[BodyJoint] = []
     notices: list[Fault] = []
     dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
-    for i, (model, entry_data) in enumerate(zip(models, parts, strict=True)):
+    for i, (model, entry_data) in enumerate(zip(models, joint_data, strict=True)):
         location = f"joints[{i}]"
         name = model.name or location
         second_body = bodies.body_index(model.body, f"{location}.body")

@@ -86,15 +86,17 @@ class BodyKind:
         return core.transformed(-so3.rotate(to_principal, self.centre), to_principal)
 
 
-def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
+def build_body_kind(model: BodyModel, body_data: Mapping[str, Any]) -> BodyKind:
     """Return the shared properties of a body model; raise SIM061 if it is invalid."""
     refusals = RefusalCollector()
     with refusals.collect():
         refuse_all("SIM061", _mass_problems(model))
     with refusals.collect():
-        shapes = _body_shapes(model, parts)
+        shapes = _body_shapes(model, body_data)
     refusals.check()
-    uses_hull = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
+    uses_hull = [
+        bool(shape_data.get("hull")) for shape_data in body_data.get("shapes", ())
+    ] or [False]
     cores, solids, notices, collision_shapes = [], [], [], []
     display_shapes: list[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]] = []
     for k, (shape, origin, rotation) in enumerate(shapes):
@@ -126,7 +128,7 @@ def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         solids.append(solid.transformed(origin, rotation))
     mass, centre, inertia = _mass_properties(model, solids)
     moments, axes = principal_inertia(inertia)
-    prototype = parts.get("shows")
+    prototype = body_data.get("shows")
     mesh = prototype()[0] if prototype else _display_mesh(display_shapes)
     return BodyKind(
         model, collision_shapes, cores, mass, centre, moments, axes, mesh, notices
@@ -149,10 +151,10 @@ def _mass_problems(model: BodyModel) -> Iterator[Problem]:
 
 
 def _body_shapes(
-    model: BodyModel, parts: Mapping[str, Any]
+    model: BodyModel, body_data: Mapping[str, Any]
 ) -> list[tuple[Shape, FloatArray, FloatArray]]:
     """Return the shapes of a body, each with its origin and rotation."""
-    entries = zip(model.shapes, parts.get("shapes", ()), strict=True)
+    entries = zip(model.shapes, body_data.get("shapes", ()), strict=True)
     shapes = [
         (
             part["shape"],
@@ -165,7 +167,7 @@ def _body_shapes(
         if shapes:
             message = f"{model.name!r} has both a shape and shapes"
             refuse("SIM061", message, "shapes", "keep one")
-        shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
+        shapes = [(body_data["shape"], np.zeros(3), so3.IDENTITY)]
     if not shapes:
         hint = "shape: {sphere: {radius: 0.1}}"
         refuse("SIM061", f"{model.name!r} has no shape", hint=hint)
@@ -288,10 +290,10 @@ def motion_key_problems(model: BodyModel) -> Iterator[Problem]:
 
 
 def copy_placements(
-    model: BodyModel, parts: Mapping[str, Any]
+    model: BodyModel, body_data: Mapping[str, Any]
 ) -> tuple[FloatArray, FloatArray]:
     """Return positions ``(C, 3)`` and rotations ``(C, 4)`` of copies of a body."""
-    points, rotations = parts.get("points"), parts.get("rotations")
+    points, rotations = body_data.get("points"), body_data.get("rotations")
     if model.grid is not None:
         if points is not None:
             message = f"{model.name!r} has both a grid and points"

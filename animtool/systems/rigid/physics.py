@@ -170,7 +170,7 @@ def body_entries(
 
     Faults are located at the key of the stage in the spec.
     """
-    models, parts = [], []
+    models, body_data = [], []
     for body in physics.bodies:
         first_shape = body.shapes[0]
         keys: dict[str, Any] = {
@@ -208,8 +208,8 @@ def body_entries(
             for shape in body.shapes
         ]
         location = {"entry": entry_key, "origin": body.origin}
-        parts.append({"poses": poses, "shapes": shapes, **location})
-    return models, parts
+        body_data.append({"poses": poses, "shapes": shapes, **location})
+    return models, body_data
 
 
 def _body_model(keys: dict[str, Any], origin: str, entry_key: str) -> BodyModel:

@@ -138,8 +138,8 @@ def _body_kinds(
                 "friction": options.friction,
             }
         )
-        parts = {"shapes": [{"shape": shape} for shape in shapes]}
-        kinds.append(build_body_kind(model, parts))
+        body_data = {"shapes": [{"shape": shape} for shape in shapes]}
+        kinds.append(build_body_kind(model, body_data))
     if rig.masses:
         kinds = _replace_masses(rig, world, joints, kinds)
     if options.mass is None:

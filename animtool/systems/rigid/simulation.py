@@ -56,20 +56,20 @@ MAX_MOMENTUM = 1e100  # angular momenta [kg m²/s]
 
 def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
     """Build the simulation of a spec; raise SIM020 or SIM061 if a key is invalid."""
-    parts, colliders = context.parts, context.colliders
-    stages: Sequence[Physics] = parts.get("stages", ())
-    models, body_parts = list(spec.bodies), list(parts.get("bodies", ()))
+    entry_data, colliders = context.parts, context.colliders
+    stages: Sequence[Physics] = entry_data.get("stages", ())
+    models, body_data = list(spec.bodies), list(entry_data.get("bodies", ()))
     for k, stage in enumerate(stages):
         stage_models = body_entries(stage, f"stages[{k}].prim")
         models += stage_models[0]
         body_parts += stage_models[1]
     refusals = RefusalCollector()
     with refusals.collect():
-        bodies = RigidBodies.from_models(models, body_parts, context.begin)
+        bodies = RigidBodies.from_models(models, body_data, context.begin)
     with refusals.collect():
         check_joints(spec.joints, models)
     refusals.check()
-    joints = build_joints(spec.joints, parts.get("joints", ()), bodies)
+    joints = build_joints(spec.joints, entry_data.get("joints", ()), bodies)
     first_stage_body = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
     stage_colliders: list[Collider] = []
     for stage in stages:
@@ -77,7 +77,7 @@ def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
         joints = Joints(members, [*joints.notices, *stage.notices])
         first_stage_body += len(stage.bodies)
         stage_colliders += static_colliders(stage)
-    forces = parts.get("forces", ())
+    forces = entry_data.get("forces", ())
     return RigidSimulation(
         spec, context.begin, bodies, joints, colliders, forces, stage_colliders
     )

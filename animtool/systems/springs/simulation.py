@@ -188,7 +188,7 @@ class SpringSimulation(MotionCounts):
             t, state = self.grid.time, self.grid.state
             self.max_substeps = max(self.max_substeps, state.substeps)
             self._exclude_torn()
-            reason = self._energy_watch.divergence(t, state.motion)
+            reason = self._energy_watch.divergence_reason(t, state.motion)
             if start_grid.solver is Solver.XPBD:
                 length_ratio = self.intact_system.stretch(t, state.motion)
                 self.longest = max(self.longest, length_ratio or 0.0)

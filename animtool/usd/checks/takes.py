@@ -33,7 +33,7 @@ from animtool.usd.rigs.placement import (
     NO_PLACEMENT,
     SkeletonPlacement,
     animated_ancestors,
-    rest_rig,
+    place_rest_pose,
     skeleton_placement,
 )
 from animtool.usd.rigs.prims import (
@@ -195,7 +195,7 @@ def _animation_take(
             motion_channels, roots, placement.full_placement
         ).map(Channel.compact)
     rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))
-    rig = rest_rig(rig, placement)
+    rig = place_rest_pose(rig, placement)
     take = Take(rig, _build_clock(subject, codes), motion_channels)
     rate = float(stage.GetFramesPerSecond())
     return AnimationTake(

@@ -26,7 +26,7 @@ from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.jobs import LAYER_SUFFIXES
-from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_errors
+from animtool.usd.layers.sdf import asset_path, export_layer, open_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 
 AnyArray = npt.NDArray[Any]
@@ -159,7 +159,7 @@ def _stored_values(spec: Any) -> list[Any]:
 @contextmanager
 def edited_layer(path: Path, content: Any = None) -> Iterator[FixTarget]:
     """Yield a file's stage, its layer with edited content; None keeps the content."""
-    layer = find_layer(path)
+    layer = open_layer(path)
     with without_usd_warnings(), usd_errors(path):
         try:
             if content is not None:

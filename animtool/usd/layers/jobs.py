@@ -141,7 +141,7 @@ class UsdJob:
     shot: Shot | None = None  # shot to record
 
     @property
-    def where(self) -> str | None:
+    def fault_path(self) -> str | None:
         """Path of the file in faults; None for stdout."""
         return None if self.output == STDOUT else str(self.output)
 

@@ -163,7 +163,7 @@ def asset_path(file: Path, folder: Path) -> str:
 
 
 @expects_format("USD001", "a USD file", USD_FILE_HINT)
-def find_layer(path: Path) -> Any:
+def open_layer(path: Path) -> Any:
     """Open a layer by its path."""
     state = layer_state(path, is_recorded=True)
     with usd_errors(path):

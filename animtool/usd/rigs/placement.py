@@ -330,7 +330,7 @@ NO_PLACEMENT = SkeletonPlacement(
 )
 
 
-def rest_rig(
+def place_rest_pose(
     rig: Rig, placement: SkeletonPlacement, placement_choice: str | None = None
 ) -> Rig:
     """Return a rig whose rest pose is at its stage placement.

@@ -33,7 +33,7 @@ from animtool.usd.layers.faults import (
     joint_parents,
     unit_and_axis_faults,
 )
-from animtool.usd.layers.sdf import check_prim_path, find_layer
+from animtool.usd.layers.sdf import check_prim_path, open_layer
 from animtool.usd.rigs.rest_pose import read_rest
 
 # Maximum prims whose names are compared with an unknown one.
@@ -101,7 +101,7 @@ class SkeletonRig:
 
 def open_stage(path: Path) -> Any:
     """Open a stage; raise an error if its rate, range, unit or up axis is invalid."""
-    stage = open_composed(find_layer(path), path)
+    stage = open_composed(open_layer(path), path)
     location = PrimLocation(str(path), "/")
     rate = stage.GetTimeCodesPerSecond()
     if not MIN_METADATA <= rate <= MAX_METADATA:

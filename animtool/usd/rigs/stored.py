@@ -25,7 +25,11 @@ from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
-from animtool.usd.rigs.placement import local_placement, rest_rig, unsupported_notice
+from animtool.usd.rigs.placement import (
+    local_placement,
+    place_rest_pose,
+    unsupported_notice,
+)
 from animtool.usd.rigs.prims import (
     MAX_REST_VALUE,
     SkeletonRig,
@@ -375,7 +379,7 @@ def read_rig_with_data(
         )
         placement = local_placement(skeleton.GetPrim(), usd_skeleton.rig)
         notices += unsupported_notice(placement, where)
-        rig_at_rest = rest_rig(full_rig, placement, placement_choice)
+        rig_at_rest = place_rest_pose(full_rig, placement, placement_choice)
         return rig_at_rest, notices + edit_notices + dropped_notices
 
 

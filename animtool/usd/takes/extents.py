@@ -121,7 +121,7 @@ def author_extents(
         if name:
             from animtool.usd.takes.library import check_variant
 
-            check_variant(stage, layers[0], writer.paths, job.where)
+            check_variant(stage, layers[0], writer.paths, job.fault_path)
 
 
 def _compose_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
@@ -246,4 +246,4 @@ def _check_binding(
             hint = STRONGER_HINT
         if stage.GetPrimAtPath(job.paths.skeleton).IsInstanceProxy():
             hint = "the rig is instanced there, and a layer cannot reach into instances"
-        raise OutputError(Fault("USD011", message, job.where, (), hint))
+        raise OutputError(Fault("USD011", message, job.fault_path, (), hint))

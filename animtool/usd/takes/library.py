@@ -24,7 +24,7 @@ from animtool.core.names import most_similar
 from animtool.core.rates import MAX_FRAME
 from animtool.core.record import dataclass
 from animtool.usd.layers.names import TAKE_SET, RigPaths, replace_prefix
-from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
+from animtool.usd.layers.sdf import new_layer, open_layer, usd_errors
 from animtool.usd.rigs.prims import (
     find_skeletons,
     open_stage,
@@ -187,7 +187,7 @@ def merge_take(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     The other takes and the selected take stay unchanged.
     """
     merged_layer = new_layer(path)
-    merged_layer.TransferContent(find_layer(path))
+    merged_layer.TransferContent(open_layer(path))
     model = Sdf.Path(paths.model)
     animation = Sdf.Path(f"{paths.animation}_{name}")
     variant = model.AppendVariantSelection(TAKE_SET, name)

@@ -41,7 +41,7 @@ from animtool.systems.flocks.rules import (
 from animtool.systems.flocks.spec import FlocksModel, SpeciesModel
 from animtool.systems.flocks.steering import limit_steering
 from animtool.systems.particles import BoxShape, Point, find_force
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 QUIET = {k: {"weight": 0} for k in ("attraction", "alignment", "repulsion", "speed")}
 ACROSS = np.array([1.0, 0.0, 0.0])
@@ -73,7 +73,7 @@ def test_who_begins_looks_along_its_way_and_upright() -> None:
     side = so3.rotate(found.rotations, ACROSS)
     assert_allclose(side, [[0.8, 0, -0.6], ACROSS, ACROSS, ACROSS], atol=1e-9)
     assert_array_equal(found.spins, np.zeros((4, 3)))
-    every = np.concatenate([uniforms(k, np.arange(2), 1)[:, 0] for k in (3, 8)])
+    every = np.concatenate([uniform_samples(k, np.arange(2), 1)[:, 0] for k in (3, 8)])
     assert_array_equal(found.phases, every)
 
 
@@ -176,7 +176,9 @@ def test_those_of_a_place_go_their_way_by_their_cruise() -> None:
     model = species(count=3, seed=5, speed={"cruise": 4}, direction=[3, 0, 4], spread=0)
     parts = {"place": BoxShape((2, 2, 2)), "poses": Poses.fixed((7, 8, 9))}
     x, v = _start_motion(model, parts, 1.5)
-    assert_allclose(x, [7, 8, 9] + 2 * uniforms(5, 2**40 + np.arange(3), 8)[:, :3] - 1)
+    assert_allclose(
+        x, [7, 8, 9] + 2 * uniform_samples(5, 2**40 + np.arange(3), 8)[:, :3] - 1
+    )
     assert_allclose(v, [[2.4, 0, 3.2]] * 3)
     ahead = _start_motion(species(count=1, speed={"cruise": 4}, spread=0), parts, 0.0)[
         1
@@ -383,7 +385,7 @@ def test_members_that_show_a_cycle_are_turned_from_the_beginning_on() -> None:
     made = flock([[0, 0, 0], [5, 0, 0]], [[3, 0, 0], [0, 0, 4]], shows=cycle, beat=2)
     state = made.initial()
     frame = made.frame(state, 0.0)
-    u = uniforms(0, np.arange(2), 1)[:, 0]
+    u = uniform_samples(0, np.arange(2), 1)[:, 0]
     assert frame.mesh_indices.tolist() == np.floor(u * 4).tolist()  # type: ignore[union-attr]
     assert len(frame.meshes) == 4  # type: ignore[union-attr]
     later = made.step(state, 0.0, 0.125)

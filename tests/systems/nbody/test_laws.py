@@ -32,7 +32,7 @@ from animtool.systems.nbody.nbody import (
     build,
 )
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 X = np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 2], [-9, 0, 0]])
 MASSES = np.array([1.0, 2.0, 3.0, 0.5])
@@ -233,7 +233,7 @@ def test_bodies_of_a_disc_are_where_their_numbers_say() -> None:
     own = galaxy(nucleus=2, disc={**disc, "stability": 1.2})
     made = build_galaxy(own, 2.0, 0.1)
     profile = MassProfile(own, 2.0, 0.1)
-    u = uniforms(4, np.arange(50), 6)
+    u = uniform_samples(4, np.arange(50), 6)
     x = made.points[1:] - made.points[0]
     v = made.velocities[1:] - made.velocities[0]
     assert own.disc is not None
@@ -272,7 +272,7 @@ def test_bodies_of_a_spheroid_are_bound_and_drawn_by_their_own_seed(kind: str) -
     own = galaxy(**{kind: part})
     made = build_galaxy(own, 2.0, 0.1)
     profile = MassProfile(own, 2.0, 0.1)
-    u = uniforms(4 + (1000 if kind == "bulge" else 2000), np.arange(60), 6)
+    u = uniform_samples(4 + (1000 if kind == "bulge" else 2000), np.arange(60), 6)
     model = getattr(own, kind)
     r = np.interp(u[:, 0] * 3, enclosed_mass(model, profile.r), profile.r)
     x = r[:, None] * matter.random_directions(u[:, 1:3])
