@@ -33,7 +33,7 @@ from animtool.usd.rigs.placement import (
     NO_PLACEMENT,
     SkeletonPlacement,
     animated_ancestors,
-    place_rest_pose,
+    rig_at_stage_placement,
     skeleton_placement,
 )
 from animtool.usd.rigs.prims import (
@@ -195,7 +195,7 @@ def _animation_take(
             motion_channels, roots, placement.full_placement
         ).map(Channel.compact)
     rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))
-    rig = place_rest_pose(rig, placement)
+    rig = rig_at_stage_placement(rig, placement)
     take = Take(rig, _build_clock(subject, codes), motion_channels)
     rate = float(stage.GetFramesPerSecond())
     return AnimationTake(

@@ -330,7 +330,7 @@ NO_PLACEMENT = SkeletonPlacement(
 )
 
 
-def place_rest_pose(
+def rig_at_stage_placement(
     rig: Rig, placement: SkeletonPlacement, placement_choice: str | None = None
 ) -> Rig:
     """Return a rig whose rest pose is at its stage placement.

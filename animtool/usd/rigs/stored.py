@@ -27,7 +27,7 @@ from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
 from animtool.usd.rigs.placement import (
     local_placement,
-    place_rest_pose,
+    rig_at_stage_placement,
     unsupported_notice,
 )
 from animtool.usd.rigs.prims import (
@@ -379,7 +379,7 @@ def read_rig_with_data(
         )
         placement = local_placement(skeleton.GetPrim(), usd_skeleton.rig)
         notices += unsupported_notice(placement, where)
-        rig_at_rest = place_rest_pose(full_rig, placement, placement_choice)
+        rig_at_rest = rig_at_stage_placement(full_rig, placement, placement_choice)
         return rig_at_rest, notices + edit_notices + dropped_notices
 
 

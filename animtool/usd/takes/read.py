@@ -37,8 +37,8 @@ from animtool.usd.rigs.placement import (
     NO_PLACEMENT,
     SkeletonPlacement,
     animated_ancestors,
-    place_rest_pose,
     refuse_unsupported,
+    rig_at_stage_placement,
     skeleton_placement,
     unit_mismatch_notice,
     unsupported_notice,
@@ -187,7 +187,7 @@ def read_character(
     if placement_choice == DROP_PLACEMENT:
         stream = _drop_placement(stream, placement, skeleton_prim, str(path))
     else:
-        stream.rig = place_rest_pose(stream.rig, placement)
+        stream.rig = rig_at_stage_placement(stream.rig, placement)
     stream.notices += skipped_skeletons_notice(skeletons, str(path))
     stream.notices += composition_notices(stage, str(path))
     return stream
@@ -234,12 +234,12 @@ def _drop_placement(
     Joints still include the placement that the file's customData records.
     """
     local_rig = stream.rig
-    placed_rig = place_rest_pose(local_rig, placement)
+    placed_rig = rig_at_stage_placement(local_rig, placement)
     source_rig = replace(placed_rig, has_animated_parents=placement.is_animated)
     stream.notices += placement_notice(
         source_rig, path, is_kept=False, is_in_joints=local_rig.has_animated_parents
     )
-    stream.rig = place_rest_pose(local_rig, placement, DROP_PLACEMENT)
+    stream.rig = rig_at_stage_placement(local_rig, placement, DROP_PLACEMENT)
     heading_placement = stream.rig.placement
     stream = remove_placement(stream)
     stream.rig = replace(stream.rig, has_animated_parents=False)
