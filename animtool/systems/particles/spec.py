@@ -57,7 +57,7 @@ class ParticlesModel(ForcedSpec):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
 
     methods: ClassVar[Sequence[str] | None] = None
-    exact: ClassVar[str] = "rk4"
+    reference_method: ClassVar[str] = "rk4"
     counted_keys: ClassVar[Sequence[str]] = ("emitters", "forces")
 
     name: PrimName = Field(default="particles", examples=["embers"])
