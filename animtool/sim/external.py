@@ -86,7 +86,7 @@ def _start_solver(run: IntegrationRun) -> _SolverMemory:
         "atol": options.atol,
         "max_step": math.inf if options.step is None else options.step,
     }
-    jacobian = _flat_jacobian(run) if run.integrator.implicit else None
+    jacobian = _flat_jacobian(run) if run.integrator.is_implicit else None
     if jacobian is not None:
         settings["jac"] = jacobian
     solver_class: Any = load_object(run.integrator.solver)

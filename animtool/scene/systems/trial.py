@@ -202,7 +202,7 @@ def _evaluation_limit(
         return None
     integrator = find_integrator(method)
     unknowns = 3 * max_points
-    if is_other_method and integrator.implicit and unknowns > MAX_UNKNOWNS:
+    if is_other_method and integrator.is_implicit and unknowns > MAX_UNKNOWNS:
         message = f"{method} would solve for {unknowns} unknowns at "
         raise OptionError(Fault("SIM024", f"{message}once", where="method"))
     if integrator.solver:

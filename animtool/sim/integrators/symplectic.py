@@ -40,7 +40,7 @@ SYMPLECTIC_EULER = Integrator(
     step=symplectic_euler,
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     evaluations=1,
-    symplectic=True,
+    is_symplectic=True,
 )
 
 
@@ -78,8 +78,8 @@ VELOCITY_VERLET = Integrator(
         lambda z: [2, -2 * z, z * z - 1, 0.5 * z], lambda z: [1, -2 * z, z * z]
     ),
     drag_order=1,
-    symplectic=True,
-    reversible=True,
+    is_symplectic=True,
+    is_reversible=True,
 )
 
 
@@ -102,6 +102,6 @@ POSITION_VERLET = Integrator(
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     drag_order=1,
     evaluations=1,
-    symplectic=True,
-    reversible=True,
+    is_symplectic=True,
+    is_reversible=True,
 )

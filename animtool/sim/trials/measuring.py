@@ -69,7 +69,7 @@ def measure(
             one.
         progress: Called with the fraction done, 0 to 1.
     """
-    settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
+    settings = list(dict.fromkeys([*trial.settings(), trial.chosen_setting]))
     count = len({*settings, *trial.references()[0]})
     cache = _RunCache(trial, count, progress)
     reference, reference_outcome = _find_reference(trial, cache)
@@ -79,7 +79,7 @@ def measure(
     notices = [*trial.notices, *_trial_notices(trial, reference)]
     if reference_outcome is not None and reference is not None:
         if reference.sensitive:
-            rows = _rank_by_figures(rows, reference_outcome, trial.cost)
+            rows = _rank_by_figures(rows, reference_outcome, trial.cost_measure)
         else:
             rows = _mark_recommended(
                 rows, trial, reference, extent, instance_extent, budget
@@ -94,8 +94,8 @@ def measure(
         reference,
         rows,
         notices,
-        trial.error,
-        trial.cost,
+        trial.error_measure,
+        trial.cost_measure,
         trial.unit,
         budget,
         reach=instance_extent,
@@ -132,7 +132,9 @@ class _RunCache:
         with np.errstate(all="ignore"):
             outcome = self._trial.run(setting)
             timings = [outcome.seconds]
-            max_runs = MAX_REPEATS if self._trial.cost is CostMeasure.SECONDS else 1
+            max_runs = (
+                MAX_REPEATS if self._trial.cost_measure is CostMeasure.SECONDS else 1
+            )
             while len(timings) < max_runs and sum(timings) < REPEAT_TIME:
                 timings.append(self._trial.run(setting).seconds)
         return replace(outcome, seconds=min(timings))
@@ -152,7 +154,9 @@ def _find_reference(
             if outcomes[-1].status is not Status.OK:
                 break
         else:
-            return _build_reference(settings[-1], outcomes, trial.error), outcomes[-1]
+            return _build_reference(
+                settings[-1], outcomes, trial.error_measure
+            ), outcomes[-1]
     return None, None
 
 
@@ -191,18 +195,24 @@ def _trial_rows(
     rows: list[TrialRow] = []
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
-    is_timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
+    is_timed = (
+        reference_outcome is not None and trial.cost_measure is CostMeasure.SECONDS
+    )
     time_limit = None
     if reference_outcome and is_timed:
         time_limit = SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
     for setting in settings:
         row = slow_rows.get(setting.method)
-        if row is not None and setting != trial.chosen and not cache.is_done(setting):
+        if (
+            row is not None
+            and setting != trial.chosen_setting
+            and not cache.is_done(setting)
+        ):
             reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
             continue
         row = _trial_row(trial, cache, setting, reference_outcome)
-        row = replace(row, chosen=setting == trial.chosen)
+        row = replace(row, chosen=setting == trial.chosen_setting)
         if time_limit is not None and row.seconds > time_limit:
             slow_rows[setting.method] = row
         rows.append(row)
@@ -302,14 +312,15 @@ def _mark_recommended(
     # Errors below the error estimate of the reference count as equal.
     extent += instance_extent
     min_error = max(
-        reference.error.error(trial.error, instance_extent), RELATIVE_ROUNDING * extent
+        reference.error.error(trial.error_measure, instance_extent),
+        RELATIVE_ROUNDING * extent,
     )
     costs: list[Cost | None] = []
     for row in rows:
         cost = None
         if row.error is not None:
-            error = row.error.error(trial.error, instance_extent)
-            cost = _row_cost(row, trial.cost, max(error, min_error))
+            error = row.error.error(trial.error_measure, instance_extent)
+            cost = _row_cost(row, trial.cost_measure, max(error, min_error))
         costs.append(cost)
     optimal_indices = pareto_optimal(costs)
     current_index = next(i for i, row in enumerate(rows) if row.chosen)

@@ -126,7 +126,7 @@ class Trial:
     name: str
     kind: str  # `particles`, `cloth`, `ik`
     span: float  # duration, with pre-roll [s]
-    chosen: Setting  # setting of the file
+    chosen_setting: Setting  # setting of the file
     # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
     # Candidates for the reference: each a method with successively halved steps. The
@@ -134,8 +134,9 @@ class Trial:
     references: Callable[[], list[list[Setting]]]
     # Runs a setting; raises `OptionError` if the method does not apply.
     run: Callable[[Setting], TrialOutcome]
-    error: ErrorMeasure = ErrorMeasure.RMS  # the error that settings are ranked by
-    cost: CostMeasure = CostMeasure.SECONDS
+    # Error that settings are ranked by.
+    error_measure: ErrorMeasure = ErrorMeasure.RMS
+    cost_measure: CostMeasure = CostMeasure.SECONDS
     unit: str = "steps"  # unit of the counted work
     # Name and time of a point of a snapshot; None without names.
     point_label: Callable[[int, int], str] | None = None

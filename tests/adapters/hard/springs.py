@@ -73,7 +73,7 @@ def by_integrator(
     checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
     if CONTROLS[name] is StepControl.FIXED:
-        if find_integrator(name).implicit:
+        if find_integrator(name).is_implicit:
             step = max(step, LONG)
         options = IntegrateOptions(name, step=step)
     else:
