@@ -12,7 +12,7 @@ from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, StepResult
 from animtool.sim.options import IntegrateOptions
-from animtool.sim.system import Native
+from animtool.sim.system import NativeAdvance
 from animtool.sim.trajectory import Status
 
 # Times within this fraction of a step count as a multiple of it.
@@ -91,10 +91,10 @@ class IntegrationRun:
 
     def stop(self, status: Status, reason: str) -> Status:
         """Stop the run, and record the reason; for too small a step, with the cause."""
-        suspected_cause = ""
+        cause = ""
         if status is Status.STEP_TOO_SMALL:
-            suspected_cause = self.equations.system.suspect(self.time, self.state)
-        self.reason = f"{reason}; {suspected_cause}" if suspected_cause else reason
+            cause = self.equations.system.suspected_cause(self.time, self.state)
+        self.reason = f"{reason}; {cause}" if cause else reason
         return status
 
 
@@ -171,7 +171,9 @@ def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
     return Status.OK
 
 
-def _advance_by_blocks(run: IntegrationRun, grid: StepGrid, native: Native) -> Status:
+def _advance_by_blocks(
+    run: IntegrationRun, grid: StepGrid, native: NativeAdvance
+) -> Status:
     """Take the steps of a grid in compiled blocks, with a check after each block."""
     evaluations = run.integrator.evaluations or 1
     for i in range(0, grid.count, CHECK_INTERVAL):

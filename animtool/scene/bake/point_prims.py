@@ -46,7 +46,7 @@ from animtool.usd.caches.point_cache import (
     write_chunks,
 )
 from animtool.usd.caches.writer import CachedMesh, FrameBlock, PointSpace
-from animtool.usd.layers.jobs import Rounding, UsdResult, WrittenTake
+from animtool.usd.layers.jobs import RoundingError, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import layer_span
 from animtool.usd.props.placement import build_prop_placements
 from animtool.usd.props.writer import author_props
@@ -324,6 +324,6 @@ def _usd_result(layer: Any, meshes: Sequence[CachedMesh], run: BakedTake) -> Usd
         span,
         samples=run.samples,
         sampled=list(dict.fromkeys(name for mesh in meshes for name in mesh.sampled)),
-        rounding=Rounding(worst_mesh.error, worst_mesh.error_code),
+        rounding=RoundingError(worst_mesh.error, worst_mesh.error_code),
     )
     return UsdResult(span, takes=[take])

@@ -110,9 +110,10 @@ class _RunCache:
     """Runs each setting once, and caches the result."""
 
     def __init__(
-        self, trial: Trial, count: int, progress: Callable[[float], None] | None
+        self, trial: Trial, setting_count: int, progress: Callable[[float], None] | None
     ) -> None:
-        self._trial, self._count, self._progress = trial, count, progress
+        self._trial, self._setting_count = trial, setting_count
+        self._progress = progress
         self._outcomes: dict[Setting, TrialOutcome] = {}
 
     def is_done(self, setting: Setting) -> bool:
@@ -124,7 +125,7 @@ class _RunCache:
         if setting not in self._outcomes:
             self._outcomes[setting] = self._run(setting)
             if self._progress is not None:
-                self._progress(min(1.0, len(self._outcomes) / self._count))
+                self._progress(min(1.0, len(self._outcomes) / self._setting_count))
         return self._outcomes[setting]
 
     def _run(self, setting: Setting) -> TrialOutcome:

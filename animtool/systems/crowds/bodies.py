@@ -378,5 +378,7 @@ def _gait_weights(samples: FloatArray, gait_points: FloatArray) -> FloatArray:
     sample_offsets = samples[:, None] - gait_points[None]
     projections = np.einsum("nik,ijk->nij", sample_offsets, offsets) / squares
     # The nearest band has at least half the weight: the sum is never 0.
-    bands = np.clip(1 - projections, 0.0, 1.0).min(axis=2)
-    return np.asarray(bands / bands.sum(axis=1, keepdims=True))
+    unnormalized_weights = np.clip(1 - projections, 0.0, 1.0).min(axis=2)
+    return np.asarray(
+        unnormalized_weights / unnormalized_weights.sum(axis=1, keepdims=True)
+    )

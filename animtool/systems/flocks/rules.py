@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
-Indices: TypeAlias = npt.NDArray[np.int32]
+IndexArray: TypeAlias = npt.NDArray[np.int32]
 # Largest number of neighbour pairs per member on average, and in total. Beyond both,
 # thousands of members see each other and a step takes minutes.
 MAX_PAIRS_PER_MEMBER, MAX_PAIRS = 20_000, 2_000_000_000
@@ -36,8 +36,8 @@ REMEDY_HINT = "use a larger start region, or a smaller distance"
 class FlockRule:
     """A rule of one species towards other members, as kernel arguments."""
 
-    members: Indices | None  # members that follow the rule (M,); None for all
-    targets: Indices | None  # members that the rule reacts to; None for all
+    members: IndexArray | None  # members that follow the rule (M,); None for all
+    targets: IndexArray | None  # members that the rule reacts to; None for all
     radius: float  # range of sight [m]
     view_cosine: float = -1.0  # cosine of half the angle of view
     nearest: int = 0  # number of nearest neighbours; 0 for all
@@ -71,7 +71,7 @@ def build_rules(members: Members) -> list[FlockRule]:
 
 
 def _build_flocking_rule(
-    species: SpeciesModel, subjects: Indices | None, mates: Indices | None
+    species: SpeciesModel, subjects: IndexArray | None, mates: IndexArray | None
 ) -> FlockRule:
     """Return the rule of a species towards members of this and of joined species."""
     vision, repulsion = species.vision, species.repulsion
@@ -101,7 +101,7 @@ def _has_effect(rule: FlockRule) -> bool:
     return any(weights) and 0 not in counts
 
 
-def _member_indices(members: Members, species: Sequence[int]) -> Indices | None:
+def _member_indices(members: Members, species: Sequence[int]) -> IndexArray | None:
     """Return the member indices of the given species ``(M,)``; None for all species."""
     if len(species) == len(members.entries):
         return None

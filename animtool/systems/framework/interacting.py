@@ -98,11 +98,11 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
         self._check(t, x, sums)
         return self._bodies.accelerations_from(t, x, sums)
 
-    def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+    def suspected_cause(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return why a state is hard to integrate, for messages; may be empty."""
         if not np.isfinite(state).all():
             return ""
-        return self._bodies.suspect(state[0], self.sums_at(state[0]))
+        return self._bodies.suspected_cause(state[0], self.sums_at(state[0]))
 
 
 class Interacting(ABC, Generic[State, InteractionSums]):
@@ -196,7 +196,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         The position of the force is ``(3,)``; positions of bodies are ``x`` ``(N, 3)``.
         """
 
-    def suspect(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002
+    def suspected_cause(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002
         """Return why positions are hard to integrate, as text; may be empty."""
         return ""
 

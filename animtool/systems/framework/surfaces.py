@@ -202,14 +202,14 @@ class BodyColliders(_StateObserver):
         self.max_speed = 0.0
         self._states = _RecentSamples(run.past_state)
         self._poses = _RecentSamples(lambda t: simulation.poses(*self._states(t)))
-        self._begins = _RecentSamples(
+        self._step_start_poses = _RecentSamples(
             lambda t: simulation.poses(*run.past_state(t, with_pushes=True))
         )
         self._pusher_index = 0
 
     def end_poses(self, t0: float, t1: float) -> FloatArray:
         """Return the poses of shapes at both ends of a step ``(C, 2, 7)``."""
-        ends = np.stack([self._begins(t0), self._poses(t1)], axis=1)
+        ends = np.stack([self._step_start_poses(t0), self._poses(t1)], axis=1)
         if t1 > t0 and len(ends):
             distances = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
             self.max_speed = max(self.max_speed, float(distances.max()) / (t1 - t0))

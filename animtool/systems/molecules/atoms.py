@@ -76,18 +76,18 @@ class Atoms(PointMasses):
         points = [np.zeros((0, 3)) if p is None else p for p, _ in initial_motions]
         kinds = np.repeat(np.arange(len(points)), [len(site) for site in points])
 
-        def per_atom(values: list[float]) -> FloatArray:
+        def atom_values(values: list[float]) -> FloatArray:
             return np.array(values, np.float64)[kinds]
 
         radii = [atom.radius or atom.sigma / 2 * spec.scale for atom in spec.species]
-        masses = per_atom([species.mass for species in spec.species])
+        masses = atom_values([species.mass for species in spec.species])
         atoms = Atoms(
             np.concatenate(points),
             _initial_velocities(spec, masses, kinds, [v for _, v in initial_motions]),
             masses,
             kinds.astype(np.int32),
-            per_atom([species.charge for species in spec.species]),
-            per_atom(radii),
+            atom_values([species.charge for species in spec.species]),
+            atom_values(radii),
         )
         total = float(atoms.charges.sum())
         if abs(total) > CHARGE_TOLERANCE:

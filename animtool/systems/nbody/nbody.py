@@ -162,7 +162,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         potentials = self._spec.gravity_constant * attractor.mass / distances
         return (potentials / distances**2)[:, None] * offsets, -potentials
 
-    def suspect(self, x: FloatArray, sums: MutualGravity) -> str:
+    def suspected_cause(self, x: FloatArray, sums: MutualGravity) -> str:
         """Return the pair of bodies with the fastest orbit, as text for messages."""
         return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 

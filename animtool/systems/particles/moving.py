@@ -118,7 +118,7 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             modes.append((damping, 1.0))
         return np.array(modes) if modes else None
 
-    def suspect(self, t: float, state: FloatArray) -> str:
+    def suspected_cause(self, t: float, state: FloatArray) -> str:
         """Return which particle has the largest acceleration, as text."""
         magnitudes = np.linalg.norm(self.acceleration(t, *state), axis=1)
         particle = int(self.particles.ids[np.argmax(magnitudes)])

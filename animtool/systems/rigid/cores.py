@@ -136,7 +136,7 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
     return ConvexCore(points[corners], faces)
 
 
-def solid_of(shape: Shape, core: ConvexCore) -> SolidProperties:
+def core_solid(shape: Shape, core: ConvexCore) -> SolidProperties:
     """Return the mass properties of a shape of density 1; for a mesh, of its hull."""
     match shape:
         case Sphere(radius=r):

@@ -130,8 +130,8 @@ def _substep(
     magnitudes = np.linalg.norm(total_change[:, :3], axis=1)
     magnitudes += np.linalg.norm(h * v, axis=1)
     magnitudes += np.linalg.norm(h * v + total_change[:, 3:], axis=1)
-    error_size = np.linalg.norm(correction, axis=1)
-    errors = error_size / (magnitudes + MIN_MOTION)
+    correction_magnitudes = np.linalg.norm(correction, axis=1)
+    errors = correction_magnitudes / (magnitudes + MIN_MOTION)
     errors[~np.isfinite(errors)] = INFINITE_ERROR
     is_coarse = (errors > COARSE_ERROR)[:, None]
     total_change = np.where(is_coarse, linear_change, total_change)

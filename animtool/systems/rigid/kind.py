@@ -33,11 +33,11 @@ from animtool.systems.rigid.cores import (
     convex_pieces,
     core_mesh,
     core_of,
+    core_solid,
     excess_volume,
     is_convex,
     mesh_solid,
     point_inertia,
-    solid_of,
 )
 from animtool.systems.rigid.spec import BodyModel
 
@@ -108,7 +108,7 @@ def build_body_kind(model: BodyModel, body_data: Mapping[str, Any]) -> BodyKind:
             core = core_of(shape)
         except ValueError as error:
             refuse("SIM061", f"a shape of {model.name!r}: {error}", key)
-        solid = solid_of(shape, core)
+        solid = core_solid(shape, core)
         collision_pieces: Sequence[tuple[Shape, ConvexCore]] = [(shape, core)]
         if isinstance(shape, Mesh) and not is_convex(shape, solid):
             is_dynamic = not model.kinematic or model.release is not None

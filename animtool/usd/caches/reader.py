@@ -22,7 +22,7 @@ from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.prims import (
-    array_of,
+    array_or_empty,
     array_value,
     decompose,
     find_prim,
@@ -102,7 +102,7 @@ def time_codes_of(times: Sequence[float]) -> list[Any]:
 def array_lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
     """Return the length of an array attribute at each time; None if it has no value."""
     values = (attribute.Get(code) for code in codes)
-    return [None if value is None else len(array_of(value)) for value in values]
+    return [None if value is None else len(array_or_empty(value)) for value in values]
 
 
 def all_prims(stage: Any) -> Iterator[Any]:

@@ -78,7 +78,7 @@ MIN_SAME_COSINE = 0.7
 
 def check_animations(subject: StageSubject) -> Iterator[Fault]:
     """Check array lengths, values and rotations of every SkelAnimation sample."""
-    for animation in subject.of_type(UsdSkel.Animation):
+    for animation in subject.prims_of_type(UsdSkel.Animation):
         joints = token_array(animation.GetJointsAttr())
         yield from duplicate_name_faults(animation.GetJointsAttr())
         if joints:

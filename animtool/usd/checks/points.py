@@ -22,7 +22,7 @@ from animtool.usd.checks.subject import SampledArray, StageSubject, samples_text
 
 def check_points(subject: StageSubject) -> Iterator[Fault]:
     """Check the points and velocities of every prim, in every sample."""
-    for geometry in subject.of_type(UsdGeom.PointBased):
+    for geometry in subject.prims_of_type(UsdGeom.PointBased):
         attr = PointReader(geometry.GetPrim()).points_attr
         if not attr.HasAuthoredValue():
             continue
@@ -157,7 +157,7 @@ _INSTANCE_ARRAYS = (
 
 def check_instancers(subject: StageSubject) -> Iterator[Fault]:
     """Check every PointInstancer: prototypes, lengths, numbers, unit orientations."""
-    for instancer in subject.of_type(UsdGeom.PointInstancer):
+    for instancer in subject.prims_of_type(UsdGeom.PointInstancer):
         prim = instancer.GetPrim()
         indices = subject.sampled_array(instancer.GetProtoIndicesAttr())
         yield from _check_prototypes(subject, instancer, indices)

@@ -174,7 +174,7 @@ def inspect_layer(path: Path | str) -> Inspection:
 def _resized_rigs(subject: StageSubject, path: Path) -> list[Fault]:
     """Return warnings about Skeletons in another unit than they were written in."""
     notices: list[Fault] = []
-    for skeleton in subject.of_type(UsdSkel.Skeleton):
+    for skeleton in subject.prims_of_type(UsdSkel.Skeleton):
         if not stored_data(skeleton.GetPrim()).get("rig"):
             continue
         from animtool.usd.rigs.stored import merge_rig

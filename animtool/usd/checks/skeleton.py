@@ -30,7 +30,7 @@ from animtool.usd.rigs.rest_pose import (
 
 def check_physics_joints(subject: StageSubject) -> Iterator[Fault]:
     """Check bodies, frames, axes and limits of every physics joint."""
-    for joint in subject.of_type(UsdPhysics.Joint):
+    for joint in subject.prims_of_type(UsdPhysics.Joint):
         yield from _check_bodies(subject, joint)
         yield from _check_frames(joint)
         yield from _check_axis(joint.GetPrim())
@@ -139,7 +139,7 @@ def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
             bound_skeletons.add(
                 inherited_skeleton.GetPrim().GetPath() if inherited_skeleton else None
             )
-    for skeleton in subject.of_type(UsdSkel.Skeleton):
+    for skeleton in subject.prims_of_type(UsdSkel.Skeleton):
         joints = token_array(skeleton.GetJointsAttr())
         if not joints:
             continue

@@ -109,12 +109,12 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     Animations with wrong array lengths or non-finite values are omitted, since the
     checks report them.
     """
-    skeletons = list(subject.of_type(UsdSkel.Skeleton))
+    skeletons = list(subject.prims_of_type(UsdSkel.Skeleton))
     # Other checks visit equal instances once; here all of them are searched.
     skeletons_by_animation = _bound_skeletons(find_skeletons(subject.stage))
     stage_data = _StageData.from_subject(subject)
     takes = []
-    for animation in subject.of_type(UsdSkel.Animation):
+    for animation in subject.prims_of_type(UsdSkel.Animation):
         skeleton = skeletons_by_animation.get(animation.GetPath())
         if skeleton is None:
             # A shared animation is not the motion of a single character.

@@ -241,7 +241,7 @@ def _reanchor_assets(layer: Any, source: Path, output: Path) -> int:
         return 0
     count = 0
 
-    def reanchored(text: str) -> str:
+    def reanchor_path(text: str) -> str:
         nonlocal count
         file_path, package, inner_path = text.partition("[")
         if not file_path or Path(file_path).is_absolute() or "://" in file_path:
@@ -252,5 +252,5 @@ def _reanchor_assets(layer: Any, source: Path, output: Path) -> int:
         count += 1
         return f"{asset_path(old_folder / file_path, new_folder)}{package}{inner_path}"
 
-    UsdUtils.ModifyAssetPaths(layer, reanchored)
+    UsdUtils.ModifyAssetPaths(layer, reanchor_path)
     return count

@@ -233,7 +233,7 @@ class ChunkedWriter:
         """Close the open files; after an error, discard them."""
         for index in sorted(self._open_chunks):
             if error[0] is None:
-                self._close(index)
+                self._close_chunk(index)
             else:
                 self._open_chunks.pop(index)[0].__exit__(*error)
 
@@ -265,12 +265,12 @@ class ChunkedWriter:
         self.last = max(self.last, float(codes[-1]))
         for chunk in sorted(self._open_chunks):
             if min(self._next_samples) > (chunk + 1) * self._chunk_size:
-                self._close(chunk)
+                self._close_chunk(chunk)
 
     def _write_block(self, chunk: int, block: FrameBlock) -> None:
         self._open_chunks[chunk][1][block.prim].add(block)
 
-    def _close(self, chunk: int) -> None:
+    def _close_chunk(self, chunk: int) -> None:
         self._open_chunks.pop(chunk)[0].close()
 
     def author_value_clips(

@@ -58,7 +58,7 @@ class PrimLocation:
         """Raise a fault at this location as an error."""
         raise FormatError(self.fault(code, message, hint))
 
-    def refuse(self, faults: Iterable[Fault]) -> None:
+    def raise_errors(self, faults: Iterable[Fault]) -> None:
         """Raise faults, including warnings, as an error at this location."""
         errors = [replace(f, path=self.path, severity=Severity.ERROR) for f in faults]
         if errors:

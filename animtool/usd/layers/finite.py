@@ -131,7 +131,7 @@ def check_value(
 
     ``code`` is the time code; None is the default.
     """
-    floats = floats_of(value)
+    floats = float_array(value)
     if (
         floats is None
         or not floats.size
@@ -152,7 +152,7 @@ def check_data(value: object, name: str) -> None:
         check_value(value, "d", ValueLabels(name))
 
 
-def floats_of(value: Any) -> npt.NDArray[Any] | None:
+def float_array(value: Any) -> npt.NDArray[Any] | None:
     """Return the floating-point numbers of a value as an array, or None."""
     if hasattr(value, "imaginary"):
         value = [*value.imaginary, value.real]

@@ -107,7 +107,7 @@ class WrittenBlock:
 
 
 @dataclass(slots=True)
-class Rounding:
+class RoundingError:
     """Largest rounding errors of all written blocks."""
 
     error: float = 0.0  # largest distance that rounding moved a joint [m]
@@ -184,7 +184,7 @@ class WrittenTake:
     sampled: list[str] = field(default_factory=list)
     joints: int = 0  # joints in the SkelAnimation
     # Errors of rounding to float32, and of scales to float16.
-    rounding: Rounding = field(default_factory=Rounding)
+    rounding: RoundingError = field(default_factory=RoundingError)
     # Reports on the control curves.
     curves: list[CurveReport] = field(default_factory=list)
     props: list[str] = field(default_factory=list)  # paths of the props
@@ -230,7 +230,7 @@ class UsdResult:
         return max(take.joints for take in self.takes)
 
     @property
-    def rounding(self) -> Rounding:
+    def rounding(self) -> RoundingError:
         """Rounding errors of the take with the largest joint error."""
         return max((take.rounding for take in self.takes), key=lambda r: r.error)
 

@@ -415,10 +415,10 @@ class SampleWriter:
     ) -> None:
         self._attribute, self._path = attr, attr.path
         self._set_sample = attr.layer.SetTimeSample
-        self._convert = convert
+        self._convert_value = convert
         self._every_frame = writes_every_frame
         self._has_default = with_default
-        self._letter = float_letter(attr.typeName)
+        self._float_letter = float_letter(attr.typeName)
         self._labels = ValueLabels(str(self._path), noun, names)
         self._first_value: npt.NDArray[Any] | None = None
         self._are_quaternions = are_quaternions
@@ -429,11 +429,11 @@ class SampleWriter:
     def add(self, codes: FloatArray, values: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
         values = self._with_continuous_signs(np.ascontiguousarray(values))
-        if self._letter:
-            check_rows(values, self._letter, self._labels, codes)
+        if self._float_letter:
+            check_rows(values, self._float_letter, self._labels, codes)
         if self._every_frame:
             if not self.has_samples and self._has_default:
-                self._attribute.default = self._convert(values[0])
+                self._attribute.default = self._convert_value(values[0])
             self.has_samples = True
         elif self._first_value is None:
             self._first_value = values[0].copy()
@@ -444,7 +444,7 @@ class SampleWriter:
                 self._static_codes.append(codes)
                 return
             self.start_sampling()
-        set_value, path, convert = self._set_sample, self._path, self._convert
+        set_value, path, convert = self._set_sample, self._path, self._convert_value
         for code, value in zip(codes.tolist(), values, strict=True):
             set_value(path, code, convert(value))
 
@@ -466,7 +466,7 @@ class SampleWriter:
         if self.has_samples:
             return
         self.has_samples = True
-        value = self._convert(self._first_value)
+        value = self._convert_value(self._first_value)
         for codes in self._static_codes:
             for code in codes.tolist():
                 self._set_sample(self._path, code, value)
@@ -478,13 +478,13 @@ class SampleWriter:
         Readers that query the attribute without a time code get this value.
         """
         if self.has_samples and self._first_value is not None:
-            self._attribute.default = self._convert(self._first_value)
+            self._attribute.default = self._convert_value(self._first_value)
 
     def finish(self, fallback: npt.NDArray[Any]) -> None:
         """Author constant values as the default; ``fallback`` if there are none."""
         if not self.has_samples:
             default = fallback if self._first_value is None else self._first_value
-            value = self._convert(default)
-            if self._letter:
-                check_value(value, self._letter, self._labels)
+            value = self._convert_value(default)
+            if self._float_letter:
+                check_value(value, self._float_letter, self._labels)
             self._attribute.default = value

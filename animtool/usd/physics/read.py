@@ -264,7 +264,7 @@ def _read_body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
     parent_matrix = source.cache.GetParentToWorldTransform(prim)
     parent_rotation = source.pose_and_scale(np.array(parent_matrix, np.float64))[0][3:]
     parent_rotation = so3.multiply(source.up_rotation, parent_rotation)
-    velocity, spin = (
+    velocity, angular_velocity = (
         np.zeros(3) if vector is None else so3.rotate(parent_rotation, vector)
         for vector in (
             source.read_numbers(rigid_api.GetVelocityAttr(), 3),
@@ -280,7 +280,7 @@ def _read_body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         shapes,
         **_read_mass(source, prim, scale),
         velocity=velocity * source.meters_per_unit,
-        spin=np.radians(spin),
+        spin=np.radians(angular_velocity),
         kinematic=is_kinematic,
         times=times,
         path=poses,

@@ -213,8 +213,8 @@ class SimulatedPrim:
             return FrameBlock(prim_index, codes, {}, 0)
         encoder = frame_encoder(frame)
         if not encoder.points:
-            no_points = np.zeros((0, 3), np.float32)
-            frame_values = encoder.values(self, frame, no_points, code)
+            empty_points = np.zeros((0, 3), np.float32)
+            frame_values = encoder.values(self, frame, empty_points, code)
             return FrameBlock(
                 prim_index, codes, _add_frame_axis(frame_values), len(frame.points)
             )

@@ -63,8 +63,8 @@ class RigJointMap:
         mapped_scales = None
         if scales is not None or (self.rest_scales != 1.0).any():
             if scales is None:
-                no_values = np.zeros((motion.frames, 0, 3))
-                mapped_scales = Channel(self.rest_scales, _NO_JOINTS, no_values)
+                empty_values = np.zeros((motion.frames, 0, 3))
+                mapped_scales = Channel(self.rest_scales, _NO_JOINTS, empty_values)
             else:
                 mapped_scales = self._map_channel(scales, self.rest_scales)
         return Motion(

@@ -38,10 +38,10 @@ from animtool.usd.rigs.prims import (
     find_skeletons,
     integer_array,
     number_rows,
-    numbers_of,
     open_stage,
     search_root,
     skeleton_rig,
+    value_rows,
 )
 from animtool.usd.rigs.rest_pose import collapsed_bone_faults
 from animtool.usd.rigs.skinned import (
@@ -191,7 +191,7 @@ def _read_skin(
     query: Any, point_count: int, rig: SkeletonRig, location: PrimLocation
 ) -> Skin:
     indices, weights = (
-        numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
+        value_rows(primvar.ComputeFlattened(), 1)[:, 0]
         for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
     )
     influence_count = query.GetNumInfluencesPerComponent()
@@ -429,7 +429,7 @@ def _stage_meshes(
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
     location = PrimLocation.from_prim(path, skeleton)
-    location.refuse(bind_faults(skeleton, skeleton_rig.tokens, is_skinned=True))
+    location.raise_errors(bind_faults(skeleton, skeleton_rig.tokens, is_skinned=True))
     warnings = collapsed_bone_faults(skeleton, skeleton_rig.tokens)
     notices += [replace(fault, path=str(path)) for fault in warnings]
     attr = skeleton.GetBindTransformsAttr()

@@ -72,8 +72,8 @@ class SkeletonPlacement:
         return heading.inverse().after(self.full_placement).simplified()
 
     def _split_rest(self) -> tuple[Placement, Placement]:
-        first_full = self.full_placement.first()
-        return self.fixed_placement.first().split(self._up)[0], first_full.split(
+        first_placement = self.full_placement.first()
+        return self.fixed_placement.first().split(self._up)[0], first_placement.split(
             self._up
         )[1]
 
@@ -268,13 +268,13 @@ def _find_unsupported_reason(matrices: FloatArray) -> str:
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=-1)
     is_mirrored = np.linalg.det(linear) <= 0.0
-    is_uneven = np.ptp(lengths, axis=-1) > SCALE_TOLERANCE * lengths.max(axis=-1)
+    is_nonuniform = np.ptp(lengths, axis=-1) > SCALE_TOLERANCE * lengths.max(axis=-1)
     unit_axes = linear / np.where(lengths > 0.0, lengths, 1.0)[..., None]
     shear_cosines = np.abs(unit_axes @ unit_axes.swapaxes(-1, -2) - np.eye(3)).max(
         axis=(-1, -2)
     )
     is_sheared = shear_cosines > SCALE_TOLERANCE
-    is_unsupported = is_mirrored | is_uneven | is_sheared
+    is_unsupported = is_mirrored | is_nonuniform | is_sheared
     if not is_unsupported.any():
         return ""
     i = int(is_unsupported.argmax())

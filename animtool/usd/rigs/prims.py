@@ -48,22 +48,22 @@ def array_value(attr: Any, time: Any = None) -> Any:
     value = attr.Get() if time is None else attr.Get(time)
     if value is None and time is None:
         value = attr.Get(Usd.TimeCode.EarliestTime())
-    return array_of(value)
+    return array_or_empty(value)
 
 
-def array_of(value: Any) -> Any:
+def array_or_empty(value: Any) -> Any:
     """Return a value if it is an array, otherwise an empty tuple."""
     return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 
 def number_rows(attr: Any, width: int, time: Any = None) -> FloatArray:
     """Return an attribute's rows ``(N, width)``; empty for another type."""
-    return numbers_of(array_value(attr, time), width)
+    return value_rows(array_value(attr, time), width)
 
 
-def numbers_of(value: Any, width: int) -> FloatArray:
+def value_rows(value: Any, width: int) -> FloatArray:
     """Return the rows of an array ``(N, width)``; empty for another type."""
-    value = array_of(value)
+    value = array_or_empty(value)
     numbers = np.array(value)
     if numbers.dtype.kind not in "fiu" or numbers.size != len(value) * width:
         return np.zeros((0, width))
@@ -116,7 +116,7 @@ def open_stage(path: Path) -> Any:
     ):
         if not abs(code) <= MAX_METADATA:
             location.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
-    location.refuse(unit_and_axis_faults(stage))
+    location.raise_errors(unit_and_axis_faults(stage))
     return stage
 
 
@@ -253,7 +253,7 @@ def rig_from_tokens(
     ``custom_data``, else from ``source_names`` (the Skeleton's ``jointNames``) if
     valid.
     """
-    location.refuse(joint_order_faults(f"{location.where}.joints", tokens))
+    location.raise_errors(joint_order_faults(f"{location.where}.joints", tokens))
     if not isinstance(custom_data, dict) or not all(
         isinstance(custom_data.get(key, {}), dict) for key in ("names", "pins")
     ):

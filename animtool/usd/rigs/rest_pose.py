@@ -186,7 +186,7 @@ def read_rest(
     """
     faults = list(rest_faults(skeleton, joints, is_animated=is_animated))
     replacement_faults = [fault for fault in faults if fault.code == "USD229"]
-    location.refuse(fault for fault in faults if fault not in replacement_faults)
+    location.raise_errors(fault for fault in faults if fault not in replacement_faults)
     pose = find_rest_pose(skeleton, joints)
     matrices = np.zeros((0, 4, 4)) if pose is None else pose.matrices
     warning = Severity.WARNING

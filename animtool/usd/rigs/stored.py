@@ -359,8 +359,8 @@ def read_rig_with_data(
         usd_skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, usd_skeleton, str(path))
-        where = PrimLocation.from_prim(path, skeleton)
-        check_animatable(len(usd_skeleton.rig.joints), len(shapes), where)
+        prim_location = PrimLocation.from_prim(path, skeleton)
+        check_animatable(len(usd_skeleton.rig.joints), len(shapes), prim_location)
         notices += usd_skeleton.notices
         notices += skipped_skeletons_notice(skeletons, str(path))
         notices += composition_notices(stage, str(path))
@@ -378,7 +378,7 @@ def read_rig_with_data(
             merged_rig, rig, stored_data(skeleton.GetPrim()), path
         )
         placement = local_placement(skeleton.GetPrim(), usd_skeleton.rig)
-        notices += unsupported_notice(placement, where)
+        notices += unsupported_notice(placement, prim_location)
         rig_at_rest = rig_at_stage_placement(full_rig, placement, placement_choice)
         return rig_at_rest, notices + edit_notices + dropped_notices
 

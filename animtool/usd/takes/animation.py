@@ -141,7 +141,7 @@ def _require_attributes(
         missing_transform_faults(animation, token_array(animation.GetJointsAttr()))
     )
     if any(fault.severity is Severity.ERROR for fault in faults):
-        location.refuse(faults)
+        location.raise_errors(faults)
     notices += [replace(fault, path=location.path) for fault in faults]
     if faults:
         return {}
@@ -241,7 +241,7 @@ def rig_from_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     """Return a rig for an animation without Skeleton; its first sample is the rest."""
     joints = token_array(animation.GetJointsAttr())
     location = PrimLocation.from_prim(path, animation)
-    location.refuse(duplicate_name_faults(animation.GetJointsAttr()))
+    location.raise_errors(duplicate_name_faults(animation.GetJointsAttr()))
     custom_data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     first_code = Usd.TimeCode.EarliestTime()

@@ -113,8 +113,8 @@ def nearest_samples(
     distances = np.abs(neighbours - frame_times)
     nearest = np.where(distances[0] <= distances[1], neighbours[0], neighbours[1])
     # The tolerance includes rounding of the distance itself.
-    is_near = distances.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
-    return list(map(float, np.where(is_near, nearest, frame_times)))
+    is_near_grid = distances.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
+    return list(map(float, np.where(is_near_grid, nearest, frame_times)))
 
 
 def _time_label(time: Any) -> str:

@@ -18,7 +18,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.finite import ValueLabels, narrow_floats
-from animtool.usd.layers.jobs import RootPath, Rounding, WrittenBlock
+from animtool.usd.layers.jobs import RootPath, RoundingError, WrittenBlock
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
     SampleWriter,
@@ -155,7 +155,9 @@ class AnimationWriter:
     joint_mask: BoolArray | None = None  # joints to write ``(J,)``; None is all
     # Names of the rig's S shapes; empty writes no weights.
     shapes: tuple[str, ...] = ()
-    rounding: Rounding = field(default_factory=Rounding)  # rounding errors so far
+    rounding: RoundingError = field(
+        default_factory=RoundingError
+    )  # rounding errors so far
     # Time codes of every sample, one array per block.
     codes: list[FloatArray] = field(default_factory=list)
     # Shape weights ``(F, S)``, one array per block; empty without shapes.

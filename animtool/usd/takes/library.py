@@ -137,10 +137,10 @@ def check_variant(
         spec = layer.GetPrimAtPath(prim_path)
         for property_spec in spec.properties if spec else ():
             path = property_spec.path.StripAllVariantSelections()
-            stack = stage.GetPropertyAtPath(path).GetPropertyStack(
+            property_stack = stage.GetPropertyAtPath(path).GetPropertyStack(
                 Usd.TimeCode.Default()
             )
-            if stack and stack[0].path != property_spec.path:
+            if property_stack and property_stack[0].path != property_spec.path:
                 message = f"{path} of the rig is stronger than that of a variant"
                 raise OutputError(
                     Fault("USD032", message, file_path, (), STRONGER_HINT)

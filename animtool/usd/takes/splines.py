@@ -98,12 +98,12 @@ def author_controls(
     reports = []
     for name, (control, curves) in zip(names.names, controls.items(), strict=True):
 
-        def evaluate_one(times: FloatArray, curves: Curves = curves) -> FloatArray:
+        def evaluate_curve(times: FloatArray, curves: Curves = curves) -> FloatArray:
             values: FloatArray = evaluate(curves, times)[0]
             return values
 
         report = author_curve(
-            layer, prim_path, CONTROL_NAMESPACE + name, curves, evaluate_one
+            layer, prim_path, CONTROL_NAMESPACE + name, curves, evaluate_curve
         )
         if name != control:
             path = f"{prim_path}.{CONTROL_NAMESPACE}{name}"
@@ -250,8 +250,13 @@ def _build_knots(
 ) -> list[Any]:
     """Return the spline knots at the ends of all segments."""
     segment_starts = [
-        (*(segment_.control_points[0] + [segment_.start_time, 0.0]).tolist(), segment_)
-        for segment_ in segments
+        (
+            *(
+                curve_segment.control_points[0] + [curve_segment.start_time, 0.0]
+            ).tolist(),
+            curve_segment,
+        )
+        for curve_segment in segments
     ]
     end_point = (float(curves.times[-1]), float(curves.values[-1]), None)
     knots = []

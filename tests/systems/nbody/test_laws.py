@@ -58,11 +58,11 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
     assert state.pulls.rates.max() == pytest.approx(2 * 5 / reach)
     mass, said = made._fastest_pair(X, state.pulls.rates)
     assert (mass, said) == (5.0, "bodies 1 and 2 are 2 m apart")
-    assert made.suspect(X, state.pulls) == said
+    assert made.suspected_cause(X, state.pulls) == said
     found = made._fastest_pair(X, np.array([0.0, 0, 0, 9.0]))
     assert found == (1.5, "bodies 0 and 3 are 9 m apart")
     alone = MutualGravity(np.zeros((1, 3)), np.zeros(1), np.zeros(1))
-    assert made.suspect(X[:1], alone) == ""
+    assert made.suspected_cause(X[:1], alone) == ""
     assert_allclose(state.pulls.accelerations, pulls(X, MASSES, 2.0, softening))
     assert_allclose(made._direct_sum(X, X[1]), pulls(X, MASSES, 2.0, softening)[1])
     assert made._force_error(X, state.pulls) < 1e-14

@@ -182,7 +182,7 @@ def test_the_suspect_is_who_is_accelerated_most() -> None:
     state = np.zeros((2, 3, 3))
     own = some([2.0, 1.0, 3.0], first=7)
     forces = setup(("uniform", {"push": (1, 0, 0)}))
-    said = ParticleForces(forces, FLOOR, own, state).suspect(0.0, state)
+    said = ParticleForces(forces, FLOOR, own, state).suspected_cause(0.0, state)
     assert said == "particle 8 has the largest acceleration"
     nobody = some([])
     none = np.zeros((2, 0, 3))
