@@ -42,7 +42,7 @@ from animtool.systems.attach.skins import FramePoses, SkinSurface, build_skins
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
-from animtool.systems.framework.simulation import growing
+from animtool.systems.framework.simulation import growing_field
 from animtool.systems.springs.motion import move_rigidly
 from animtool.systems.springs.solvers import LOOKBACK_TIME
 

@@ -63,7 +63,7 @@ class Atoms(PointMasses):
     ) -> Atoms:
         """Return the atoms of a spec; raise SIM071 if they are invalid."""
         initial_motions, refusals = [], RefusalCollector()
-        for model, part in zip(spec.species, parts, strict=True):
+        for model, atom_data in zip(spec.species, species_data, strict=True):
             with refusals.collect():
                 initial_motions.append(_read_motion(model, atom_data, box))
         refusals.check()

@@ -62,7 +62,7 @@ def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
     for k, stage in enumerate(stages):
         stage_models = body_entries(stage, f"stages[{k}].prim")
         models += stage_models[0]
-        body_parts += stage_models[1]
+        body_data += stage_models[1]
     refusals = RefusalCollector()
     with refusals.collect():
         bodies = RigidBodies.from_models(models, body_data, context.begin)

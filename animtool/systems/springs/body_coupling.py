@@ -65,7 +65,7 @@ class BodyCoupling:
         for attachment in self.attachments:
             carrier = self.carriers[attachment.carrier]
             system = carrier.system.shared
-            is_body = system.dynamic == attachment.body
+            is_body = system.dynamic_indices == attachment.body
             mass = float(carrier.masses[is_body].min(initial=np.inf))
             masses.append((mass, system.names[attachment.body]))
         mass, name = min(masses)

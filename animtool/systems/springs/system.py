@@ -433,7 +433,7 @@ class SpringSystem(SecondOrder):
             gaps = x[springs.particles] - position_at(stage.targets, t)
             potential += 0.5 * float(springs.stiffness @ (gaps * gaps).sum(axis=1))
         mass, square_speed, speed = self._supply
-        supply = mass * (square_speed + max(speed, self.colliders.fastest) ** 2)
+        supply = mass * (square_speed + max(speed, self.colliders.max_speed) ** 2)
         return Energy(kinetic, potential, supply)
 
     @cached_property

@@ -183,7 +183,7 @@ def layer_state(path: Path, *, is_recorded: bool = False) -> FileState:
 
     ``is_recorded`` says whether a user or a document names it as an input.
     """
-    with open_input(path, None, is_recorded=recorded) as file:
+    with open_input(path, None, is_recorded=is_recorded) as file:
         is_binary = (
             file.read(len(CRATE_MAGIC)) == CRATE_MAGIC or path.suffix.lower() == ".usdz"
         )
