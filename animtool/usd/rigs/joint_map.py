@@ -125,7 +125,7 @@ def map_joints(
             at_origin(take),
             rig,
             source_joints,
-            where,
+            location,
             is_forced=force_fit,
             unmatched_faults=unmatched_notices,
         )
