@@ -112,7 +112,7 @@ OPENED = {
     "animtool.usd.layers.dependencies": "layers that it has looked at",
     "animtool.usd.layers.package": "a package that it writes",
     "animtool.usd.takes.extents": "a layer in memory",
-    "animtool.usd.fixes.target": "a copy of a file that find_layer has looked at",
+    "animtool.usd.fixes.target": "a copy of a file that open_layer has looked at",
     "animtool.usd.layers.sdf": "a layer that it has looked at",
     "animtool.usd.rigs.skinned": "a file that was just written",
     "animtool.usd.rigs.layer": "a layer in memory",

@@ -16,7 +16,7 @@ from animtool.preview.draft import PageDraft, skip_unreadable
 from animtool.preview.meshes import mesh_entry
 from animtool.preview.streams import QuantizedValues, quantize_range, quantize_units
 from animtool.usd.caches.reader import PointSample
-from animtool.usd.caches.shown import ShownMesh, ShownPrim, StageContents
+from animtool.usd.caches.shown import StageContents, VisibleMesh, VisiblePrim
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.props.reader import open_prop
@@ -37,7 +37,7 @@ def add_stage(draft: PageDraft, contents: StageContents) -> None:
     _add_cameras(draft, contents, codes)
 
 
-def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_mesh(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
     """Add a mesh that is static, rigid, or has animated points."""
     if prim.is_deforming and prim.has_changing_faces:
         draft.add_notice(
@@ -58,7 +58,7 @@ def _add_mesh(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     draft.meshes.append(entry)
 
 
-def _stage_mesh_entry(draft: PageDraft, name: str, mesh: ShownMesh) -> dict[str, Any]:
+def _stage_mesh_entry(draft: PageDraft, name: str, mesh: VisibleMesh) -> dict[str, Any]:
     """Return the manifest entry of a stage's mesh."""
     return mesh_entry(
         draft,
@@ -72,7 +72,7 @@ def _stage_mesh_entry(draft: PageDraft, name: str, mesh: ShownMesh) -> dict[str,
 
 
 def _add_rigid(
-    draft: PageDraft, prim: ShownPrim, mesh: ShownMesh, codes: FloatArray
+    draft: PageDraft, prim: VisiblePrim, mesh: VisibleMesh, codes: FloatArray
 ) -> None:
     """Add a mesh that only moves rigidly, as an instanced mesh with one instance."""
     times = codes if prim.is_moving else codes[:1]
@@ -103,7 +103,7 @@ def _add_rigid(
 def _add_prototype(
     draft: PageDraft,
     name: str,
-    mesh: ShownMesh,
+    mesh: VisibleMesh,
     positions: FloatArray,
     rotations: FloatArray,
     scales: FloatArray,
@@ -133,7 +133,7 @@ def _add_prototype(
 
 
 def _point_stream(
-    draft: PageDraft, prim: ShownPrim, codes: FloatArray, point_count: int
+    draft: PageDraft, prim: VisiblePrim, codes: FloatArray, point_count: int
 ) -> int:
     """Return the stream index of animated points.
 
@@ -152,7 +152,7 @@ def _point_stream(
     return draft.add_positions(frame_rows)
 
 
-def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_curves(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
     """Add curves as strands with widths."""
     if prim.has_changing_faces:
         draft.add_notice(
@@ -180,7 +180,7 @@ def _add_curves(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
     )
 
 
-def _add_points(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_points(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
     """Add points with widths and colors; each point keeps its slot."""
     times = (codes if prim.is_animated else codes[:1]).tolist()
     slots = PointSlots()
@@ -275,7 +275,7 @@ def _slot_values(
     return slot_values
 
 
-def _add_instances(draft: PageDraft, prim: ShownPrim, codes: FloatArray) -> None:
+def _add_instances(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
     """Add the instances of a point instancer, one mesh per prototype."""
     prototypes = prim.prototypes()
     times = (codes if prim.is_animated else codes[:1]).tolist()
@@ -375,7 +375,7 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     )
 
 
-_ADD_BY_KIND: dict[str, Callable[[PageDraft, ShownPrim, FloatArray], None]] = {
+_ADD_BY_KIND: dict[str, Callable[[PageDraft, VisiblePrim, FloatArray], None]] = {
     "mesh": _add_mesh,
     "curves": _add_curves,
     "points": _add_points,

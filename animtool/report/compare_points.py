@@ -92,7 +92,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     sample_count, size = 0, 0.0
     for name in common_names:
         time_codes = source_a.codes(name), source_b.codes(name)
-        prim_types = source_a.type(name), source_b.type(name)
+        prim_types = source_a.prim_type(name), source_b.prim_type(name)
         if prim_types[0] != prim_types[1]:
             mismatches.append(f"{name}: {prim_types[0]} instead of {prim_types[1]}")
         if len(time_codes[0]) != len(time_codes[1]):

@@ -182,9 +182,9 @@ def _describe_stage(
         return [], None, None
     from animtool.report.describe_characters import describe_characters
     from animtool.usd.caches.info import animated_point_prims
-    from animtool.usd.layers.sdf import find_layer, layer_shot
+    from animtool.usd.layers.sdf import layer_shot, open_layer
 
-    points, shot = animated_point_prims(path), layer_shot(find_layer(path))
+    points, shot = animated_point_prims(path), layer_shot(open_layer(path))
     is_selected = options is not None and (options.prim_path or options.take)
     return points, shot, None if is_selected else describe_characters(path)
 

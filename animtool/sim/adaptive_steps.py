@@ -37,7 +37,7 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
     """Try a step; accept it if its error estimate is within the tolerance."""
     step_function = run.integrator.step
     assert step_function is not None
-    run.equations.anchor(run.time, run.state)
+    run.equations.set_anchor(run.time, run.state)
     trial = _initial_step(run) if run.trial is None else run.trial
     if run.options.step is not None:
         trial = min(trial, run.options.step)
@@ -48,7 +48,7 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
     step = step_function(run.equations, run.time, run.state, h, run.memory)
     ratio = math.nan if step is None else _error_ratio(step, run.state, run.options)
     if step is None or not ratio <= 1:
-        run.rejected += 1
+        run.rejected_count += 1
         factor = FAILED_STEP_FACTOR if math.isnan(ratio) else _step_factor(ratio, run)
         run.trial = h * factor
         return run.budget_status()
@@ -60,10 +60,10 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
 
 def _fit_to_target(trial: float, time: float, target: float) -> tuple[float, float]:
     """Return the size and end time of a step, sized to avoid a tiny last step."""
-    remaining = target - time
-    if trial >= remaining:
-        return remaining, target
-    h = remaining / 2 if trial > remaining / 2 else trial
+    remaining_time = target - time
+    if trial >= remaining_time:
+        return remaining_time, target
+    h = remaining_time / 2 if trial > remaining_time / 2 else trial
     return h, time + h
 
 

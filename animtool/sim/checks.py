@@ -120,7 +120,7 @@ class EnergyWatch:
         """Replace the watched system, for example after particles were removed."""
         self._system = system
 
-    def divergence(self, t: float, state: FloatArray) -> str:
+    def divergence_reason(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"
@@ -211,13 +211,13 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
 def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
     """Return messages about an initial rate of the wrong shape or invalid values."""
     if equations.second_order is not None:
-        rate, expected = equations.acceleration(t, *state), state.shape[1:]
+        rate, expected_shape = equations.acceleration(t, *state), state.shape[1:]
         name, value_name = "the acceleration", "the acceleration of particle"
     else:
-        rate, expected = equations.rate(t, state), state.shape
+        rate, expected_shape = equations.rate(t, state), state.shape
         name, value_name = "the rate", "the rate of component"
-    if np.shape(rate) != expected:
-        return [f"{name} must have shape {expected}, not {np.shape(rate)}"]
+    if np.shape(rate) != expected_shape:
+        return [f"{name} must have shape {expected_shape}, not {np.shape(rate)}"]
     return _non_finite_messages(value_name, rate)
 
 

@@ -34,7 +34,7 @@ class Equations:
         self._anchor_rate: FloatArray | None = None
         self._last_rate: tuple[float, FloatArray, FloatArray] | None = None
 
-    def anchor(self, t: float, y: FloatArray) -> None:
+    def set_anchor(self, t: float, y: FloatArray) -> None:
         """Mark a state whose rate is cached once it has been evaluated."""
         if self._anchor and self._anchor[1] is y and self._anchor[0] == t:
             return

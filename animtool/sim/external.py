@@ -41,7 +41,7 @@ def advance_scipy(run: IntegrationRun, target: float) -> Status:
             return run.stop(Status.STEP_TOO_SMALL, reason)
         h = float(solver.t - start)
         run.memory, run.state = memory, solver.y.reshape(shape)
-        status = run.count(float(solver.t), h, 1)
+        status = run.record_steps(float(solver.t), h, 1)
         if status is not Status.OK:
             return status
         if h < run.options.floor and solver.t < run.end:
@@ -86,7 +86,7 @@ def _start_solver(run: IntegrationRun) -> _SolverMemory:
         "atol": options.atol,
         "max_step": math.inf if options.step is None else options.step,
     }
-    jacobian = _flat_jacobian(run) if run.integrator.implicit else None
+    jacobian = _flat_jacobian(run) if run.integrator.is_implicit else None
     if jacobian is not None:
         settings["jac"] = jacobian
     solver_class: Any = load_object(run.integrator.solver)

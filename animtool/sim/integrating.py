@@ -37,7 +37,7 @@ def advance_run(run: IntegrationRun, target: float) -> Status:
     if not target > run.time:
         return Status.OK
     status = _ADVANCE_FUNCTIONS[run.integrator.control](run, target)
-    return run.check() if status is Status.OK else status
+    return run.check_divergence() if status is Status.OK else status
 
 
 def checkpoint_of(
@@ -63,10 +63,10 @@ def stats_of(
         status,
         run.time,
         run.reason,
-        run.steps,
-        None if integrator.control is StepControl.SCIPY else run.rejected,
+        run.step_count,
+        None if integrator.control is StepControl.SCIPY else run.rejected_count,
         run.equations.evaluations,
-        run.smallest_step if run.steps else 0.0,
+        run.smallest_step if run.step_count else 0.0,
         run.largest_step,
         run.local_error if integrator.error_order else None,
         stable_step=stable_step,
@@ -150,8 +150,10 @@ def integrate(
         notices.append(stop_warning(integrator, options, stats))
     elif options.estimate:
         fresh_start = replace(start, memory=None, trial=None)
-        refined = integrate(system, sample_times, finer_options(options), fresh_start)
-        stats = replace(stats, error=_refinement_error(refined, states))
+        finer_trajectory = integrate(
+            system, sample_times, finer_options(options), fresh_start
+        )
+        stats = replace(stats, error=_refinement_error(finer_trajectory, states))
     return Trajectory(
         sample_times[: len(states)],
         np.array(states),
@@ -186,8 +188,10 @@ def _sample_energies(
     return np.array(totals) if len(totals) == len(energies) else None
 
 
-def _refinement_error(refined: Trajectory, states: list[FloatArray]) -> float | None:
+def _refinement_error(
+    finer_trajectory: Trajectory, states: list[FloatArray]
+) -> float | None:
     """Return the largest difference from a finer run; None if it stopped early."""
-    if refined.stats.status is not Status.OK:
+    if finer_trajectory.stats.status is not Status.OK:
         return None
-    return float(np.abs(refined.states - np.array(states)).max(initial=0.0))
+    return float(np.abs(finer_trajectory.states - np.array(states)).max(initial=0.0))

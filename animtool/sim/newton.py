@@ -132,8 +132,8 @@ def _line_search(
     """Return the next iterate and its residuals, halving steps that overshoot."""
     residual_norm = float(np.linalg.norm(residuals))
     new_point, new_residuals = point, residuals
-    for halving in range(MAX_HALVINGS):
-        new_point = point + correction * 0.5**halving
+    for halving_count in range(MAX_HALVINGS):
+        new_point = point + correction * 0.5**halving_count
         new_residuals = residual(new_point)
         new_norm = float(np.linalg.norm(new_residuals))
         if new_norm <= 2 * residual_norm or residual_norm == 0:

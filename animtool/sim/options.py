@@ -12,7 +12,7 @@ from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.integrators.table import find_integrator
 
 # Default tolerance of adaptive methods.
-TOLERANCE = 1e-6
+DEFAULT_TOLERANCE = 1e-6
 # SciPy's solvers accept no smaller tolerance.
 MIN_TOLERANCE = 3e-14
 # Factors of the step and of the tolerance of a finer run, for comparison.
@@ -58,7 +58,7 @@ class IntegrateOptions:
     @property
     def rtol(self) -> float:
         """Relative tolerance of adaptive methods [1]."""
-        return TOLERANCE if self.tolerance is None else self.tolerance
+        return DEFAULT_TOLERANCE if self.tolerance is None else self.tolerance
 
     @property
     def atol(self) -> float:

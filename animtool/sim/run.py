@@ -12,7 +12,7 @@ from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, StepResult
 from animtool.sim.options import IntegrateOptions
-from animtool.sim.system import Native
+from animtool.sim.system import NativeAdvance
 from animtool.sim.trajectory import Status
 
 # Times within this fraction of a step count as a multiple of it.
@@ -24,7 +24,7 @@ CHECK_INTERVAL = 32
 class DivergenceWatch(Protocol):
     """Interface of an object that checks states for divergence."""
 
-    def divergence(self, t: float, state: FloatArray) -> str:
+    def divergence_reason(self, t: float, state: FloatArray) -> str:
         """Return why a state has diverged; empty if it has not."""
         ...
 
@@ -43,13 +43,13 @@ class IntegrationRun:
     memory: object = None  # data that the method keeps between steps
     # The next trial step of adaptive methods [s].
     trial: float | None = None
-    steps: int = 0  # accepted steps
-    rejected: int = 0  # rejected steps
+    step_count: int = 0  # accepted steps
+    rejected_count: int = 0  # rejected steps
     smallest_step: float = math.inf  # smallest accepted step [s]
     largest_step: float = 0.0  # largest accepted step [s]
     local_error: float = 0.0  # sum of the error estimates
     reason: str = ""  # why the run stopped; empty if it did not
-    checked_steps: int = 0  # accepted steps at the last divergence check
+    checked_step_count: int = 0  # accepted steps at the last divergence check
 
     def accept(self, step: StepResult, t: float, h: float) -> Status:
         """Accept a step that ends at time t; return OK, or why the run stops."""
@@ -62,22 +62,22 @@ class IntegrationRun:
         self.state, self.memory = state, memory
         if step.error is not None:
             self.local_error += float(np.abs(step.error).max(initial=0.0))
-        return self.count(t, h, 1)
+        return self.record_steps(t, h, 1)
 
-    def count(self, t: float, h: float, steps: int) -> Status:
+    def record_steps(self, t: float, h: float, count: int) -> Status:
         """Count steps up to time t; return OK, or why the run stops."""
         self.time = t
-        self.steps += steps
+        self.step_count += count
         self.smallest_step = min(self.smallest_step, h)
         self.largest_step = max(self.largest_step, h)
-        if self.steps - self.checked_steps >= CHECK_INTERVAL:
-            return self.check()
+        if self.step_count - self.checked_step_count >= CHECK_INTERVAL:
+            return self.check_divergence()
         return self.budget_status()
 
-    def check(self) -> Status:
+    def check_divergence(self) -> Status:
         """Check the state for divergence; return OK, or why the run stops."""
-        self.checked_steps = self.steps
-        reason = self.divergence_watch.divergence(self.time, self.state)
+        self.checked_step_count = self.step_count
+        reason = self.divergence_watch.divergence_reason(self.time, self.state)
         if reason:
             return self.stop(Status.UNSTABLE, reason)
         return self.budget_status()
@@ -91,10 +91,10 @@ class IntegrationRun:
 
     def stop(self, status: Status, reason: str) -> Status:
         """Stop the run, and record the reason; for too small a step, with the cause."""
-        suspect = ""
+        cause = ""
         if status is Status.STEP_TOO_SMALL:
-            suspect = self.equations.system.suspect(self.time, self.state)
-        self.reason = f"{reason}; {suspect}" if suspect else reason
+            cause = self.equations.system.suspected_cause(self.time, self.state)
+        self.reason = f"{reason}; {cause}" if cause else reason
         return status
 
 
@@ -171,14 +171,16 @@ def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
     return Status.OK
 
 
-def _advance_by_blocks(run: IntegrationRun, grid: StepGrid, native: Native) -> Status:
+def _advance_by_blocks(
+    run: IntegrationRun, grid: StepGrid, native: NativeAdvance
+) -> Status:
     """Take the steps of a grid in compiled blocks, with a check after each block."""
     evaluations = run.integrator.evaluations or 1
     for i in range(0, grid.count, CHECK_INTERVAL):
         count = min(CHECK_INTERVAL, grid.count - i)
         run.state = native(grid.time(i), run.state, grid.h, count)
         run.equations.evaluations += evaluations * count
-        status = run.count(grid.time(i + count), grid.h, count)
+        status = run.record_steps(grid.time(i + count), grid.h, count)
         if status is not Status.OK:
             return status
     return Status.OK

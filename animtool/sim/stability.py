@@ -20,7 +20,7 @@ from animtool.core.array_types import FloatArray
 Limit: TypeAlias = Callable[[float, float], float]
 
 # Smaller coefficients, relative to the largest, are rounding.
-ROUNDING = 1e-14
+MAX_NEGLIGIBLE = 1e-14
 # Larger damping ratios use the limit for infinite ratios, scaled by 1 / ratio [1].
 MAX_DAMPING = 1e6
 
@@ -59,8 +59,10 @@ def rate_limit(growth: Sequence[float]) -> Limit:
 def _first_unstable_step(growth: FloatArray, eigenvalue: complex) -> float:
     """Return the smallest positive step at which a mode with this eigenvalue grows."""
     magnitude = abs(eigenvalue)
-    scaled = growth * (eigenvalue / magnitude) ** np.arange(len(growth))
-    growth_excess: FloatArray = np.convolve(scaled, scaled.conj()).real
+    scaled_coefficients = growth * (eigenvalue / magnitude) ** np.arange(len(growth))
+    growth_excess: FloatArray = np.convolve(
+        scaled_coefficients, scaled_coefficients.conj()
+    ).real
     growth_excess[0] = 0.0
     return _first_positive(growth_excess) / magnitude
 
@@ -97,7 +99,9 @@ def jury_limit(
 
 def _first_positive(polynomial: FloatArray) -> float:
     """Return the smallest x ≥ 0 at which a polynomial becomes positive."""
-    is_negligible = np.abs(polynomial) <= ROUNDING * max(np.abs(polynomial).max(), 1.0)
+    is_negligible = np.abs(polynomial) <= MAX_NEGLIGIBLE * max(
+        np.abs(polynomial).max(), 1.0
+    )
     coefficients = np.where(is_negligible, 0.0, polynomial)
     (nonzero,) = coefficients.nonzero()
     if not len(nonzero):
@@ -107,8 +111,8 @@ def _first_positive(polynomial: FloatArray) -> float:
         return 0.0
     roots = poly.polyroots(coefficients)
     real_roots = roots[np.abs(roots.imag) <= 1e-9 * np.abs(roots)].real
-    bounds = sorted(real_roots[real_roots > 0].tolist())
-    for low, high in pairwise([*bounds, math.inf]):
+    positive_roots = sorted(real_roots[real_roots > 0].tolist())
+    for low, high in pairwise([*positive_roots, math.inf]):
         midpoint = low + 1 if math.isinf(high) else (low + high) / 2
         if poly.polyval(midpoint, coefficients) > 0:
             return float(low)

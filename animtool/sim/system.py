@@ -19,7 +19,7 @@ from animtool.core.record import dataclass
 # A Jacobian: dense, or from scipy.sparse.
 Matrix: TypeAlias = Any
 # Maps time [s], state, step [s] and step count to the state after them.
-Native: TypeAlias = Callable[[float, FloatArray, float, int], FloatArray]
+NativeAdvance: TypeAlias = Callable[[float, FloatArray, float, int], FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +94,7 @@ class System(Protocol):
         """
         return after
 
-    def native(self, method: str) -> Native | None:
+    def native(self, method: str) -> NativeAdvance | None:
         """Return a compiled loop that takes many steps in one call; None without one.
 
         The loop must give the same result as the named method, including `settle`.
@@ -105,7 +105,7 @@ class System(Protocol):
         """Return warnings about the initial state and the inputs."""
         return []
 
-    def suspect(self, t: float, state: FloatArray) -> str:
+    def suspected_cause(self, t: float, state: FloatArray) -> str:
         """Return the likely cause of a failure, for messages; may be empty."""
         return ""
 
@@ -280,7 +280,7 @@ class ForceSystem(_FunctionSystem, SecondOrder):
         """Return Jacobians of acceleration with respect to positions and velocities."""
         return None if self._jacobians is None else self._jacobians(t, x, v)
 
-    def suspect(self, t: float, state: FloatArray) -> str:
+    def suspected_cause(self, t: float, state: FloatArray) -> str:
         """Return the particle with the largest acceleration."""
         magnitudes = np.linalg.norm(self._acceleration(t, *state), axis=1)
         return f"particle {int(np.argmax(magnitudes))} has the largest acceleration"

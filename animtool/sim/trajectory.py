@@ -1,4 +1,4 @@
-"""Results of an integration."""
+"""Sampled states of an integration, its statistics, and checkpoints."""
 
 from __future__ import annotations
 

@@ -40,7 +40,7 @@ class DeformedMesh:
     normals: FloatArray | None = None  # ``(V, 3)`` at rest; None without normals
 
     def __post_init__(self) -> None:
-        """Check that shapes, skin and normals match the points."""
+        """Raise if shapes, skin or normals do not match the points."""
         points = as_floats(self.points, ("V", 3), "points")
         object.__setattr__(self, "points", points)
         faults = [
@@ -51,10 +51,10 @@ class DeformedMesh:
             for name, prepared in (("shapes", self.shapes), ("skin", self.skin))
             if prepared is not None and prepared.vertex_count != len(points)
         ]
-        not_finite_vertices = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
-        if not_finite_vertices:
+        bad_vertices = np.flatnonzero(~np.isfinite(points).all(axis=1)).tolist()
+        if bad_vertices:
             faults.append(
-                Fault("SKIN003", f"points not finite: {listed(not_finite_vertices)}")
+                Fault("SKIN003", f"points not finite: {listed(bad_vertices)}")
             )
         if self.normals is not None and np.shape(self.normals) != (len(points), 3):
             message = (
@@ -143,7 +143,7 @@ def _deform_into(
 class _DeformBuffers:
     """Buffers reused from block to block."""
 
-    unskinned: FloatArray  # points or normals before skinning ``(F, V, 3)``
+    unskinned_values: FloatArray  # points or normals before skinning ``(F, V, 3)``
     points: FloatArray  # ``(F, V, 3)``
     normals: FloatArray  # ``(F, V, 3)``, or empty
 
@@ -185,7 +185,7 @@ def deform_blocks(
     for begin in range(0, frame_count, block_size):
         end = min(begin + block_size, frame_count)
         first, stop = max(begin - margin, 0), min(end + margin, frame_count)
-        deformed = _deform_into(
+        deformed_frames = _deform_into(
             mesh,
             None if weights_array is None else weights_array[first:stop],
             None
@@ -195,7 +195,7 @@ def deform_blocks(
             None if frame_times is None else frame_times[first:stop],
             buffers,
         )
-        yield deformed.select(slice(begin - first, end - first))
+        yield deformed_frames.select(slice(begin - first, end - first))
 
 
 def block_frames(vertex_count: int) -> int:
@@ -241,12 +241,12 @@ def _deform_points(
     is_skinned = mesh.skin is not None and world is not None
     out = None if buffers is None else buffers.points[:frame_count]
     if mesh.shapes is not None and weights is not None and weights.any():
-        unskinned = (
-            buffers.unskinned[:frame_count]
+        unskinned_points = (
+            buffers.unskinned_values[:frame_count]
             if is_skinned and buffers is not None
             else out
         )
-        points = blend_points(mesh.shapes, weights, out=unskinned)
+        points = blend_points(mesh.shapes, weights, out=unskinned_points)
     if mesh.skin is not None and world is not None:
         return skin_points(mesh.skin, points, world, out=out)
     return np.ascontiguousarray(
@@ -269,7 +269,7 @@ def _deform_normals(
     has_normal_offsets = shapes is not None and shapes.normals is not None
     if has_normal_offsets and weights is not None and weights.any():
         assert shapes is not None
-        unskinned = None if buffers is None else buffers.unskinned[:frame_count]
+        unskinned = None if buffers is None else buffers.unskinned_values[:frame_count]
         normals = blend_normals(shapes, weights, out=unskinned)
     if mesh.skin is not None and world is not None:
         out = None if buffers is None else buffers.normals[:frame_count]
@@ -293,7 +293,7 @@ def _point_velocities(points: FloatArray, times: FloatArray) -> FloatArray:
 
 
 def replace_points(
-    deformed: DeformedFrames,
+    deformed_frames: DeformedFrames,
     points: Channel,
     frames: slice,
     surface: Surface | None,
@@ -304,7 +304,7 @@ def replace_points(
     Normals are kept in frames with unchanged points, and computed from faces elsewhere.
 
     Args:
-        deformed: The frames, deformed by joints.
+        deformed_frames: The frames, deformed by joints.
         points: Replacement points of all frames ``(F, V, 3)`` [m].
         frames: Range of the deformed frames within all frames.
         surface: Mesh with the faces; None for strands.
@@ -321,17 +321,17 @@ def replace_points(
     points_with_margin = points.select(slice(first, stop)).dense()
     requested_frames = slice(frames.start - first, frames.stop - first)
     new_points = np.ascontiguousarray(points_with_margin[requested_frames])
-    velocities = deformed.velocities
+    velocities = deformed_frames.velocities
     if times is not None:
         velocities = _point_velocities(points_with_margin, times[first:stop])
         velocities = velocities[requested_frames]
-    normals = deformed.normals
+    normals = deformed_frames.normals
     if normals is not None and surface is not None:
-        has_changed = (new_points != deformed.points).any(axis=(1, 2))
+        has_changed = (new_points != deformed_frames.points).any(axis=(1, 2))
         normals = normals.copy()
         normals[has_changed] = vertex_normals(surface, new_points[has_changed])
     return replace(
-        deformed,
+        deformed_frames,
         points=new_points,
         extents=extents(new_points),
         normals=normals,

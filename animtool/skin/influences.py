@@ -24,7 +24,7 @@ class Influences:
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices."""
+        """Number of vertices, also those without influences."""
         return len(self.row_starts) - 1
 
 
@@ -66,16 +66,18 @@ def read_influences(
             joint_indices, (vertex_count, joint_indices.shape[1])
         )
         weights_array = np.broadcast_to(weights_array, joint_indices.shape)
-    integers = joint_indices.astype(np.int64)
-    is_outside = np.asarray(((integers < 0) | (integers >= joint_count)).any(axis=1))
-    not_finite = np.asarray(~np.isfinite(weights_array).all(axis=1))
+    integer_indices = joint_indices.astype(np.int64)
+    is_outside = np.asarray(
+        ((integer_indices < 0) | (integer_indices >= joint_count)).any(axis=1)
+    )
+    is_not_finite = np.asarray(~np.isfinite(weights_array).all(axis=1))
     _raise_vertex_faults(
         ("SKIN002", is_outside, f"a joint index outside 0…{joint_count - 1}"),
-        ("SKIN003", not_finite, "a weight that is not finite"),
+        ("SKIN003", is_not_finite, "a weight that is not finite"),
     )
     row_count = len(joint_indices)
     vertices, joints, sorted_weights = _merge_duplicates(
-        integers, weights_array, max(joint_count, 1)
+        integer_indices, weights_array, max(joint_count, 1)
     )
     weight_sums = np.bincount(vertices, sorted_weights, row_count).astype(np.float64)
     _raise_vertex_faults(
@@ -137,7 +139,7 @@ def _check_shapes(
     weights: FloatArray,
     vertex_count: int | None,
 ) -> None:
-    """Check that joint indices and weights have the same, expected shape."""
+    """Raise if joint indices are not integers, or weights have another shape."""
     if joint_indices.ndim != 2 or joint_indices.shape != weights.shape:
         message = (
             f"joint indices {joint_indices.shape} and weights {weights.shape} must "

@@ -67,7 +67,7 @@ class PreparedShapes:
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices."""
+        """Number of vertices of the mesh that the shapes deform."""
         return int(self.points.rest.shape[1])
 
 
@@ -159,28 +159,28 @@ def _blend_columns(
 ) -> FloatArray:
     """Return rest values plus columns times their weights ``(F, V, 3)``."""
     is_active = np.asarray(weights.any(axis=0), np.bool_)
-    active_dense = np.asarray(columns.is_dense & is_active, np.bool_)
-    active_sparse = np.asarray(~columns.is_dense & is_active, np.bool_)
+    is_active_dense = np.asarray(columns.is_dense & is_active, np.bool_)
+    is_active_sparse = np.asarray(~columns.is_dense & is_active, np.bool_)
     blended_rows = output_array(out, (len(weights), *columns.rest.shape[1:]))
     points = columns.rest
-    if active_dense.any():
+    if is_active_dense.any():
         _add_dense_columns(
             columns, weights, is_active, blended_rows.reshape(len(blended_rows), -1)
         )
         points = blended_rows
-    if active_sparse.any():
+    if is_active_sparse.any():
         row_starts = columns.row_starts
         column_indices = columns.columns
         offsets = columns.offsets
         # The kernel skips inactive columns of a single frame.
         if len(weights) > 1:
             row_starts, column_indices, offsets = _active_offsets(
-                columns, active_sparse
+                columns, is_active_sparse
             )
         _kernels.add_sparse(
             points, weights, row_starts, column_indices, offsets, blended_rows
         )
-    elif not active_dense.any():
+    elif not is_active_dense.any():
         blended_rows[:] = points
     return blended_rows
 
@@ -345,8 +345,8 @@ def _offset_faults(name: str, values: FloatArray, offset_count: int) -> list[Fau
     is_finite = np.isfinite(array)
     if is_finite.all():
         return []
-    not_finite = np.flatnonzero(~is_finite.all(axis=1)).tolist()
-    return [Fault("SKIN003", f"{name} are not finite in rows {listed(not_finite)}")]
+    bad_indices = np.flatnonzero(~is_finite.all(axis=1)).tolist()
+    return [Fault("SKIN003", f"{name} are not finite in rows {listed(bad_indices)}")]
 
 
 def _knot_faults(label: str, shape: SurfaceShape) -> list[Fault]:

@@ -66,7 +66,7 @@ class PreparedSkin:
 
     @property
     def vertex_count(self) -> int:
-        """Number of vertices."""
+        """Number of vertices that the skin was prepared for."""
         return self.influences.vertex_count
 
 
@@ -154,7 +154,9 @@ def _skin_values(
 ) -> FloatArray:
     """Return skinned points or normals ``(F, V, 3)``."""
     influences = skin.influences
-    skinned = output_array(out, (len(world.positions), influences.vertex_count, 3))
+    skinned_values = output_array(
+        out, (len(world.positions), influences.vertex_count, 3)
+    )
     if skin.method is SkinMethod.LINEAR:
         offsets = skin.joint_from_world @ skin.world_from_points
         transforms = _skinning_matrices(skin, offsets[:, :3], world)
@@ -168,9 +170,9 @@ def _skin_values(
             influences.weights,
             transforms,
             are_normals,
-            skinned,
+            skinned_values,
         )
-        return skinned
+        return skinned_values
     transforms = _skinning_matrices(skin, skin.joint_from_world[:, :3], world)
     rotations, stretches = _kernels.split_stretch(
         np.ascontiguousarray(transforms[..., :3])
@@ -192,9 +194,9 @@ def _skin_values(
         translations,
         _remove_rounding(stretches),
         are_normals,
-        skinned,
+        skinned_values,
     )
-    return skinned
+    return skinned_values
 
 
 def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
@@ -238,7 +240,7 @@ def _inverse_transposes(linear: FloatArray) -> FloatArray:
 
 
 def _check_matrices(bind: FloatArray, geom_bind: FloatArray) -> None:
-    """Check that bind matrices have the right shape and are finite."""
+    """Raise if a bind matrix has the wrong shape or is not finite."""
     faults = []
     for name, matrix, shape in (
         ("bind transforms", bind, (len(bind), 4, 4) if bind.ndim else (0, 4, 4)),
@@ -258,7 +260,7 @@ def _check_matrices(bind: FloatArray, geom_bind: FloatArray) -> None:
 
 
 def _check_mesh_joints(mesh_joints: IntArray, joint_count: int) -> None:
-    """Check that a mesh's joints are indices of skeleton joints."""
+    """Raise if a joint of a mesh is not an index of a skeleton joint."""
     if mesh_joints.ndim != 1 or not np.issubdtype(mesh_joints.dtype, np.integer):
         message = (
             f"the mesh's joint order is {mesh_joints.dtype} {mesh_joints.shape}, not "
@@ -274,7 +276,7 @@ def _check_mesh_joints(mesh_joints: IntArray, joint_count: int) -> None:
 
 
 def _check_regular(bind: FloatArray, joints: IntArray) -> None:
-    """Check that the bind transforms of joints have an inverse."""
+    """Raise if the bind transform of a joint has no inverse."""
     linear = bind[joints, :3, :3]
     largest = np.abs(linear).max(axis=(1, 2), initial=0.0)
     is_singular = np.abs(np.linalg.det(linear)) <= SINGULAR_DETERMINANT * largest**3
@@ -286,7 +288,7 @@ def _check_regular(bind: FloatArray, joints: IntArray) -> None:
 
 
 def _check_finite(skin: PreparedSkin, linear: FloatArray, origins: FloatArray) -> None:
-    """Check that the transforms of joints are finite in all frames."""
+    """Raise if the transform of a joint is not finite in some frame."""
     is_finite = np.isfinite(linear).all(axis=(2, 3)) & np.isfinite(origins).all(axis=2)
     if not is_finite.all():
         frame, joint = np.argwhere(~is_finite)[0].tolist()

@@ -286,7 +286,7 @@ def _author_animtool(data: _Samples, path: Path, *, extents: bool = False) -> An
         writer = AnimationWriter(layer, paths, data.names)
         for block in data.blocks():
             writer.add(block)
-        writer.finish([], disable_root_motion=False)
+        writer.finish([], disables_root_motion=False)
     if extents:
         with Sdf.ChangeBlock():
             writer.author_bounds(writer.padded_bounds(0.0))

@@ -59,7 +59,7 @@ class Wingnut:
     def run(self, method: str, steps: int) -> FloatArray:
         """Return its states at the times of the answers ``(T, 14)``."""
         span, number = FRAMES / RATE, RigidModel.methods.index(method)
-        nothing, states = Colliders([]).arrays(0.0, span), [self.start]
+        nothing, states = Colliders([]).kernel_arrays(0.0, span), [self.start]
         pairs, contacts = np.zeros((0, 2), np.int64), np.zeros((0, 6))
         for _ in self.times[1:]:
             after = _kernels.step_rigid(

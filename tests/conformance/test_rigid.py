@@ -54,7 +54,7 @@ class Spinning:
             np.array([0, 0]), starts, none, np.zeros((0, 3), np.int64),
             np.zeros((0, 27)), np.zeros((0, 2), np.int64),
         )  # fmt: skip
-        self._nothing = Colliders([]).arrays(0.0, STEP)
+        self._nothing = Colliders([]).kernel_arrays(0.0, STEP)
 
     def step(self, length: float = STEP) -> None:
         """Go on for a step of a length [s], no longer than those of the claims."""

@@ -80,14 +80,14 @@ def serves(integrator: Integrator, problem: Problem) -> bool:
     """Return whether a method can serve a problem at all."""
     if integrator.form is EquationForm.ACCELERATIONS:
         return problem.states.ndim == 3 and problem.system.state.ndim == 3
-    stepped = integrator.control is StepControl.FIXED and not integrator.implicit
+    stepped = integrator.control is StepControl.FIXED and not integrator.is_implicit
     return not (stepped and problem.fastest is None)
 
 
 def step_for(integrator: Integrator, problem: Problem) -> float:
     """Return a step with which a fixed method is stable and sees the motion."""
     gap = float(problem.times[-1] - problem.times[0]) / (len(problem.times) - 1)
-    if integrator.implicit or problem.fastest is None:
+    if integrator.is_implicit or problem.fastest is None:
         return gap / 20
     omega, _ = problem.fastest
     limit = integrator.largest_step(*problem.fastest)
@@ -101,7 +101,7 @@ def trajectory(problem: Problem, name: str, **more: float) -> Trajectory:
     else:
         more = {"tolerance": TOLERANCE, **more}
     options = IntegrateOptions(name, estimate=True, budget=BUDGET * 10, **more)
-    if problem.fastest is None and not integrator.implicit:
+    if problem.fastest is None and not integrator.is_implicit:
         options = IntegrateOptions(name, budget=BUDGET, **more)
     return integrate(problem.system, problem.times, options)
 

@@ -48,7 +48,7 @@ def test_distances_of_shapes(
     poses = Poses([0], [at], [turn])
     own = Colliders([Collider(shape, poses, container=container)])
     x = so3.rotate(turn, np.array([point], float)) + at
-    found = own.volumes.sample(x, 0.0)
+    found = own.as_solids.sample(x, 0.0)
     side = -1 if container else 1
     assert_allclose(found.distances, [[side * distance]], atol=1e-9)
     assert_allclose(

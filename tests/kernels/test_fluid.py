@@ -21,7 +21,7 @@ def test_momenta_of_drops_stay_whatever_tension_does(count: int) -> None:
         [own + np.array([3.0, -2, 1]), own[::-1] * [1, -1, 1] + [-5.0, 4, 7]]
     )
     speeds = rng.normal(0, 0.01, (2 * count, 3))
-    arrays = Colliders([]).arrays(0.0, 0.001)
+    arrays = Colliders([]).kernel_arrays(0.0, 0.001)
     state, *_ = _kernels.fluid_steps(
         arrays, np.zeros(0, np.int32), np.zeros((0, 13)), np.stack([points, speeds]),
         np.zeros_like(points), spacing, 1000.0, 1e-6, 0.07, 1.0, 0.001, 4,
@@ -62,7 +62,7 @@ def test_who_meets_a_wall_goes_with_it(
     points = np.array([[1.0, spacing / 2 + 1e-9, 2.0]])
     speeds = np.array([[0.3, before, -0.4]])
     state, *_ = _kernels.fluid_steps(
-        around.arrays(0.0, step), np.full(1, -1, np.int32), np.zeros((0, 13)),
+        around.kernel_arrays(0.0, step), np.full(1, -1, np.int32), np.zeros((0, 13)),
         np.stack([points, speeds]), np.zeros_like(points), spacing, 1000.0, 0.0, 0.0,
         1e-6, step, 1,
     )  # fmt: skip
@@ -91,7 +91,7 @@ def test_no_axis_is_another_one_for_a_drop(tension: float, viscosity: float) -> 
             at = low[axis] * normal
             walls.append(Collider(Plane(), Poses.fixed(at, turn), friction=0.3))
         around = Colliders([walls[order.index(axis)] for axis in range(3)])
-        arrays = around.arrays(0.0, 0.002)
+        arrays = around.kernel_arrays(0.0, 0.002)
         state, pressures, _, dense = _kernels.fluid_steps(
             arrays, np.full(3, -1, np.int32), np.zeros((0, 13)),
             np.stack([points[:, order], speeds[:, order]]),

@@ -21,7 +21,7 @@ def stepped(*surface: Any, cells: int = 4) -> Any:
     body = Body(np.ones((1, 3)), np.ones(1), Springs.none(), np.zeros((0, 3), int))
     system = SpringSystem(body)
     poses = np.zeros((cells, 0, 2, 7))
-    met = Colliders([]).arrays(0.0, 0.0), poses, 0.0, None, 1e-6, [surface]
+    met = Colliders([]).kernel_arrays(0.0, 0.0), poses, 0.0, None, 1e-6, [surface]
     return _kernels.step_springs(
         system.network(0), system.state, np.zeros(0, np.uint8), 0.0, 0, 0.01, cells, 1,
         met,

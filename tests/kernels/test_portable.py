@@ -106,7 +106,7 @@ def fluids(rng: np.random.Generator) -> list[np.ndarray]:
         array
         for tension in (0.0, 0.4)
         for array in _kernels.fluid_steps(
-            Colliders([ball]).arrays(0.0, 0.01), np.full(1, -1, np.int32),
+            Colliders([ball]).kernel_arrays(0.0, 0.01), np.full(1, -1, np.int32),
             np.zeros((0, 13)), state, pull, 0.1, 1000.0, 0.01, tension, 30.0, 0.01, 5,
         )[:2]
     ]  # fmt: skip
@@ -121,7 +121,9 @@ def strands(rng: np.random.Generator) -> list[np.ndarray]:
     )  # fmt: skip
     flat = places.reshape(-1, 3)
     goal = flat + np.linspace(0, 1, 5)[:, None, None] * [0.01, 0.02, -0.01]
-    rods = Colliders([Collider(Capsule(0.03, 0.1), friction=0.3)]).arrays(0.0, 0.0)
+    rods = Colliders([Collider(Capsule(0.03, 0.1), friction=0.3)]).kernel_arrays(
+        0.0, 0.0
+    )
     poses = np.tile([0.02, -0.01, 0.01, 0, 0, 0, 1], (4, 1, 2, 1))
     poses[..., 0] += np.linspace(0, 0.02, 4)[:, None, None]
     colliders = rods, poses, 0.0, None, 1e-6, []

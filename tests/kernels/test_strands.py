@@ -56,7 +56,7 @@ def checkpoint(places: np.ndarray, cells: int, way: np.ndarray | None = None) ->
 def met(
     colliders: list[Collider], cells: int, depths: np.ndarray | None = None
 ) -> tuple[Any, ...]:
-    arrays = Colliders(colliders).arrays(0.0, 0.0)
+    arrays = Colliders(colliders).kernel_arrays(0.0, 0.0)
     pose = np.array([0.0, 0, 0, 0, 0, 0, 1])
     poses = np.tile(pose, (cells, len(colliders), 2, 1))
     return arrays, poses, 0.0, depths, 1e-6, []

@@ -12,7 +12,7 @@ from support.cli import animtool
 from animtool import BakeOptions, SourceOptions, bake, open_source
 from animtool.core.rates import rate_from_float
 from animtool.core.shot import Shot
-from animtool.usd.layers.sdf import find_layer
+from animtool.usd.layers.sdf import open_layer
 
 otio = pytest.importorskip("opentimelineio", reason="no OpenTimelineIO (extra: otio)")
 
@@ -126,7 +126,7 @@ def test_shots_show_the_seconds_of_the_edit(
         ]
         found = take.world().positions[:, 0, 0]
         np.testing.assert_allclose(found, np.array(shown, float), atol=1e-6)
-        layer = find_layer(tmp_path / f"out/{name}.usdc")
+        layer = open_layer(tmp_path / f"out/{name}.usdc")
         shot = layer.customLayerData["animtool"]["shot"]
         assert (layer.startTimeCode, layer.endTimeCode) == (shot["start"], shot["end"])
         assert (shot["name"], shot["start"], shot["cutIn"]) == (name, 1001, 1009)
@@ -152,7 +152,7 @@ def test_shots_become_layers_over_a_rig(tmp_path: Path) -> None:
     words = ["--shot", "sh020", "--rig-layer", "rig.rig.usda", "-o", "a.usdc"]
     done = animtool("bake", "cut.otio", *words, cwd=tmp_path)
     assert done.code == 0, done.stderr
-    layer = find_layer(tmp_path / "a.usdc")
+    layer = open_layer(tmp_path / "a.usdc")
     assert (layer.startTimeCode, layer.endTimeCode) == (1001, 1052)
     (tmp_path / "job.batch.yaml").write_text(
         "batch: animtool/1\ninputs: [cut.otio]\noptions: {rig_layer: rig.rig.usda}\n"
@@ -180,7 +180,7 @@ def test_a_shot_is_moved_to_targets(tmp_path: Path) -> None:
     shown = [min(begin + Fraction(i - HANDLES, 24), last) for i in range(frames + 16)]
     found = take.world().positions[:, 0, 0]
     np.testing.assert_allclose(found, np.array(shown, float), atol=1e-6)
-    shot = find_layer(tmp_path / "a.usdc").customLayerData["animtool"]["shot"]
+    shot = open_layer(tmp_path / "a.usdc").customLayerData["animtool"]["shot"]
     assert (shot["cutIn"], shot["mediaIn"]) == (1009, float(begin))
     refused = animtool("ik", *words, "--shot", "sh3", cwd=tmp_path)
     assert (refused.code, "did you mean 'sh030'" in refused.stderr) == (2, True)

@@ -20,7 +20,7 @@ from animtool.motion.passes import PASSES, FrameScope, Pass, PassContext
 from animtool.motion.take import Take, TakeStream
 from animtool.scene.file.read import load_scene
 from animtool.scene.sources.retime import Preroll, drop_first_frames, with_preroll
-from animtool.usd.layers.sdf import find_layer
+from animtool.usd.layers.sdf import open_layer
 
 SCENE = """scene: animtool/1
 source: {file: walk.bvh, units: cm}
@@ -109,7 +109,7 @@ def test_a_layer_says_which_shot_it_is_of(shot: Path) -> None:
     done = animtool("bake", shot, "--format", "json")
     report = json.loads(done.stdout)["shot"]
     assert (report["start"], report["cut_in"], report["cut_out"]) == (1001, 1009, 1050)
-    layer = find_layer(shot.parent / "shot.usda")
+    layer = open_layer(shot.parent / "shot.usda")
     assert layer.customLayerData["animtool"]["shot"] == {
         "name": "",
         "start": 1001,

@@ -27,7 +27,7 @@ from animtool.sim import (
     integrate,
 )
 from animtool.sim.integrators.integrator import StepControl
-from animtool.sim.system import Native
+from animtool.sim.system import NativeAdvance
 
 OURS = [
     name
@@ -268,7 +268,7 @@ class Fast(Chain):
 
     settles = False
 
-    def native(self, method: str) -> Native | None:
+    def native(self, method: str) -> NativeAdvance | None:
         def steps(t: float, state: FloatArray, h: float, count: int) -> FloatArray:
             self.count += count
             for _ in range(count):

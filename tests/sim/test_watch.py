@@ -15,7 +15,7 @@ def watch(*energies: Energy) -> list[str]:
     )
     seen = EnergyWatch(system, IntegrateOptions(growth=10))
     seen.start(0.0, STATE)
-    return [seen.divergence(float(i), STATE) for i in range(1, len(energies))]
+    return [seen.divergence_reason(float(i), STATE) for i in range(1, len(energies))]
 
 
 def test_energy_that_stays_is_no_sign() -> None:

@@ -90,8 +90,8 @@ def _kind(integrator: Integrator) -> str:
         )
     words = [
         kind,
-        "implicit" if integrator.implicit else "",
-        "symplectic" if integrator.symplectic else "",
+        "implicit" if integrator.is_implicit else "",
+        "symplectic" if integrator.is_symplectic else "",
         "accelerations" if integrator.form is EquationForm.ACCELERATIONS else "",
     ]
     return ", ".join(word for word in words if word)

@@ -125,7 +125,7 @@ def _usd_takes(takes: list[_JointTake], job: UsdJob) -> Generator[UsdTake]:
             blocks,
             job.rig,
             job.meters_per_unit,
-            root_motion=take.plan.options.root_motion,
+            has_root_motion=take.plan.options.root_motion,
             rig_scale=1.0 if joint_map is None else joint_map.world_scale,
         )
         prefetched_blocks = prefetch(timed_items(rounded_blocks, take.seconds, "read"))

@@ -45,8 +45,8 @@ from animtool.usd.caches.point_cache import (
     round_points,
     write_chunks,
 )
-from animtool.usd.caches.writer import Block, CachedMesh, PointSpace
-from animtool.usd.layers.jobs import Rounding, UsdResult, WrittenTake
+from animtool.usd.caches.writer import CachedMesh, FrameBlock, PointSpace
+from animtool.usd.layers.jobs import RoundingError, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import layer_span
 from animtool.usd.props.placement import build_prop_placements
 from animtool.usd.props.writer import author_props
@@ -65,7 +65,7 @@ class PointStream:
     # Time spent on each mesh so far, without joints [s].
     seconds: list[float] = field(default_factory=list)
 
-    def blocks(self, timed_blocks: TimedBlocks) -> Iterator[Block]:
+    def blocks(self, timed_blocks: TimedBlocks) -> Iterator[FrameBlock]:
         """Yield blocks of frames of all meshes, in time order."""
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
@@ -107,7 +107,7 @@ class PointStream:
         codes: FloatArray,
         deformed_blocks: Iterator[DeformedFrames],
         written_frames: slice,
-    ) -> Iterator[Block]:
+    ) -> Iterator[FrameBlock]:
         """Yield float32 blocks of the frames to write, without neighbouring frames."""
         frames_done = 0
         start_time = time.perf_counter()
@@ -344,6 +344,6 @@ def _usd_result(
         span,
         samples=baked_take.sample_count,
         sampled=list(dict.fromkeys(name for mesh in meshes for name in mesh.sampled)),
-        rounding=Rounding(worst_mesh.error, worst_mesh.error_code),
+        rounding=RoundingError(worst_mesh.error, worst_mesh.error_code),
     )
     return UsdResult(span, takes=[take])

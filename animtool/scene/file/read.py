@@ -164,7 +164,7 @@ class _SceneReader:
         roots = project_roots(document.path)
         self.reader = KeyReader(document, (*roots, *variable_folders), "SCN003")
         self.output_roots = (*roots, *output_folders)
-        self.units = SceneUnits.of(model.units.length, model.units.angle)
+        self.units = SceneUnits.from_names(model.units.length, model.units.angle)
 
     def scene(self) -> Scene:
         model = self.model

@@ -111,13 +111,13 @@ class _RotatedBodies:
         self.owners, self.count, self.masses = bodies.owners, 0, bodies.masses
 
     @property
-    def fastest(self) -> float:
+    def max_speed(self) -> float:
         """Highest speed of the bodies so far [m/s]."""
-        return self._bodies.fastest
+        return self._bodies.max_speed
 
-    def ends(self, t0: float, t1: float) -> FloatArray:
+    def end_poses(self, t0: float, t1: float) -> FloatArray:
         """Return poses of the shapes ``(C, 2, 7)`` at both ends of a step [s]."""
-        return _rotate_pose_rows(self._bodies.ends(t0, t1), self._rotation)
+        return _rotate_pose_rows(self._bodies.end_poses(t0, t1), self._rotation)
 
     def forget(self, t: float) -> None:
         """Discard data before a time; earlier times are not sampled again [s]."""

@@ -33,8 +33,8 @@ from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterRecorder
 from animtool.scene.systems.run import SystemRun, system_job
 from animtool.usd.caches.writer import CachedMesh
-from animtool.usd.layers.chunks import growing_layer, system_clip_files
-from animtool.usd.layers.jobs import LayerForm, Rounding, UsdResult, WrittenTake
+from animtool.usd.layers.chunks import open_growing_layer, system_clip_files
+from animtool.usd.layers.jobs import LayerForm, RoundingError, UsdResult, WrittenTake
 from animtool.usd.layers.sdf import (
     StageMetadata,
     author_metadata,
@@ -155,7 +155,7 @@ class SystemFrames:
         """Write a layer, and simulate the frames that are not in chunks into it."""
         if self.chunk_files:
             return save_layer(layer, path)
-        with growing_layer(layer, path) as growing_file:
+        with open_growing_layer(layer, path) as growing_file:
             self.written_meshes = list(
                 write_simulated(self.job, self.coded_frames, growing_file)
             )
@@ -196,7 +196,7 @@ class SystemFrames:
         worst_mesh = max(written_meshes, key=lambda prim: prim.error)
         (take,) = report.takes
         take.written.sampled = list(worst_mesh.sampled)
-        take.written.rounding = Rounding(worst_mesh.error, worst_mesh.error_code)
+        take.written.rounding = RoundingError(worst_mesh.error, worst_mesh.error_code)
         worst_index = run.written_indices[written_meshes.index(worst_mesh)]
         take.error_joint = self.prims.scene.systems[worst_index].name
         state.read_seconds += run.seconds

@@ -33,7 +33,7 @@ from animtool.scene.systems.suspicions import (
 )
 from animtool.scene.systems.suspicious_forces import warn_of_forces
 from animtool.systems.framework.body_carriers import BodyCarrier
-from animtool.systems.framework.conversion import METRES, SceneUnits
+from animtool.systems.framework.conversion import DEFAULT_UNITS, SceneUnits
 from animtool.systems.framework.fields import (
     COLLISION_KEYS,
     CarryingBodyModel,
@@ -127,7 +127,10 @@ class SpecEntryReader(EntryReader):
     """
 
     def __init__(
-        self, document: Document, roots: Sequence[Path], units: SceneUnits = METRES
+        self,
+        document: Document,
+        roots: Sequence[Path],
+        units: SceneUnits = DEFAULT_UNITS,
     ) -> None:
         super().__init__(document, roots, units)
         self.carriers: list[Path] = []
@@ -380,7 +383,7 @@ def read_spec(
     location: Location,
     spec: SystemSpec,
     roots: Sequence[Path],
-    units: SceneUnits = METRES,
+    units: SceneUnits = DEFAULT_UNITS,
 ) -> SystemSetup | None:
     """Return the setup of a system's entry; None if it is faulty.
 

@@ -31,7 +31,7 @@ from animtool.maths import so3
 from animtool.scene.systems.carriers import PrimCarrier, keyed_poses
 from animtool.scene.systems.surroundings import moving_sheet
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
-from animtool.systems.framework.conversion import METRES, SceneUnits
+from animtool.systems.framework.conversion import DEFAULT_UNITS, SceneUnits
 from animtool.systems.framework.fields import (
     CarryingJointModel,
     CarryingVertexModel,
@@ -66,7 +66,10 @@ class EntryReader:
     """
 
     def __init__(
-        self, document: Document, roots: Sequence[Path], units: SceneUnits = METRES
+        self,
+        document: Document,
+        roots: Sequence[Path],
+        units: SceneUnits = DEFAULT_UNITS,
     ) -> None:
         self.document, self.roots, self.units = document, tuple(roots), units
         self.is_valid = True

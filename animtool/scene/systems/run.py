@@ -211,9 +211,9 @@ class SystemRun:
         faults = []
         for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
             run = entry_run.run
-            resume_time = run.step_time(run.state.steps)
+            resume_time = run.step_time(run.state.step_count)
             tolerance = STEP_TOLERANCE * run.step_length
-            if run.state.steps and times[0] < resume_time - tolerance:
+            if run.state.step_count and times[0] < resume_time - tolerance:
                 frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
                 reason = _between_frames_text(frame, run.step_length, fps)
                 message = f"its state is from frame {frame:g}, {reason}but frame "

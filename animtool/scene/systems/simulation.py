@@ -35,8 +35,8 @@ from animtool.systems.framework.kinds import SYSTEM_KINDS
 from animtool.systems.framework.run import EntryRun, SimulationRun
 from animtool.systems.framework.saved import StateClock, open_states
 from animtool.systems.framework.simulation import (
-    Joined,
-    Resumed,
+    ChecksResumedState,
+    HasEntryViews,
     SimContext,
     Simulation,
 )
@@ -104,7 +104,7 @@ def build_entries(
         if member.setup.resume is not None:
             _resume(run, member)
             break
-    if not isinstance(run.simulation, Joined):
+    if not isinstance(run.simulation, HasEntryViews):
         return [run]
     views = run.simulation.views
     return [
@@ -119,8 +119,8 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     assert path is not None
     with open_states(path) as saved_states:
         run.state = saved_states.read("", state_clock(member, run), run.state)
-    if isinstance(run.simulation, Resumed):
-        t = run.step_time(run.state.steps)
+    if isinstance(run.simulation, ChecksResumedState):
+        t = run.step_time(run.state.step_count)
         reason = run.simulation.incompatibility(run.state.state, t)
         if reason:
             message = f"its state does not match: {reason}"

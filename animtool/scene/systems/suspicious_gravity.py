@@ -74,8 +74,8 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
         masses.append(body_masses)
     for galaxy in spec.galaxies:
         points.append(np.array([galaxy.at], np.float64))
-        mass = sum(part.mass for part in galaxy.parts)
-        radius = max((part.radius for part in galaxy.parts), default=0.0)
+        mass = sum(part.mass for part in galaxy.components)
+        radius = max((part.radius for part in galaxy.components), default=0.0)
         masses.append(np.array([mass]))
         pulls += [(radius, mass / radius**2)] if radius else []
     for attractor in spec.attractors:

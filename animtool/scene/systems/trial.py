@@ -25,7 +25,7 @@ from animtool.scene.systems.simulation import (
 )
 from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.integrators.table import INTEGRATORS, find_integrator
-from animtool.sim.options import TOLERANCE
+from animtool.sim.options import DEFAULT_TOLERANCE
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (
     REFERENCE_FACTORS,
@@ -38,7 +38,11 @@ from animtool.sim.trials.trial import (
     step_settings,
 )
 from animtool.systems.framework.run import SimulationRun
-from animtool.systems.framework.simulation import StoppedError, TrialSettings, Tried
+from animtool.systems.framework.simulation import (
+    HasTrialSettings,
+    StoppedError,
+    TrialSettings,
+)
 from animtool.systems.framework.spec import SystemSpec
 
 # Step of the exact method over the file's step, if the file's step is too long.
@@ -92,9 +96,9 @@ def _trial(
     """
     max_point_count = 0  # maximum number of points in any run so far
     spec = members[0].setup.spec
-    if spec.tried:
+    if spec.has_trial_settings:
         simulation = run_entries(members, rebuild()).simulation
-        assert isinstance(simulation, Tried)
+        assert isinstance(simulation, HasTrialSettings)
         trial_settings = simulation.trial_settings()
     else:
         trial_settings = _trial_settings(spec, members[0].setup.method)
@@ -102,8 +106,8 @@ def _trial(
     def run(setting: Setting) -> TrialOutcome:
         nonlocal max_point_count
         method, max_evaluations = setting.method, None
-        if not spec.tried:
-            is_other = method != trial_settings.chosen.method
+        if not spec.has_trial_settings:
+            is_other = method != trial_settings.configured_setting.method
             max_evaluations = _evaluation_limit(
                 method, max_point_count, is_other_method=is_other
             )
@@ -119,12 +123,12 @@ def _trial(
         " + ".join(member.name for member in members),
         " + ".join(dict.fromkeys(member.kind for member in members)),
         float(times[-1]) + max(member.setup.spec.preroll for member in members),
-        trial_settings.chosen,
+        trial_settings.configured_setting,
         trial_settings.settings,
         trial_settings.references,
         run,
-        changes=trial_settings.changes,
-        lines=lambda setting: [
+        changed_keys=trial_settings.changes,
+        request_lines=lambda setting: [
             _scene_text(members[0], trial_settings.changes(setting))
         ],
     )
@@ -143,7 +147,7 @@ def _scene_text(system: SceneSystem, changes: Mapping[str, Any]) -> str:
 def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
     """Return the methods, steps and tolerances to try for a spec."""
     tolerance = getattr(spec, "tolerance", None)
-    default = TOLERANCE if tolerance is None else tolerance
+    default = DEFAULT_TOLERANCE if tolerance is None else tolerance
     options = {} if _is_fixed(spec_method) else {"tolerance": default}
 
     def settings() -> list[Setting]:
@@ -154,7 +158,7 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
             if _is_fixed(method):
                 tried_settings += step_settings(method, spec.step)
                 continue
-            max_step, centre = LONG_STEP_RATIO * spec.step, TOLERANCE
+            max_step, centre = LONG_STEP_RATIO * spec.step, DEFAULT_TOLERANCE
             if method == spec_method:
                 max_step, centre = spec.step, default
             for value in rounded_multiples(centre, TOLERANCES):
@@ -168,11 +172,11 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
 
         If the exact method is unstable, use the file's method or far shorter steps.
         """
-        exact_method = spec.exact or spec_method
+        exact_method = spec.reference_method or spec_method
         step_ratios = [(exact_method, 1.0)]
         if spec_method != exact_method and _is_fixed(spec_method):
             step_ratios.append((spec_method, 1.0))
-        if spec.exact:
+        if spec.reference_method:
             step_ratios.append((exact_method, FINE_STEP_RATIO))
         return [
             step_settings(method, ratio * spec.step, REFERENCE_FACTORS)
@@ -204,7 +208,7 @@ def _evaluation_limit(
         return None
     integrator = find_integrator(method)
     unknown_count = 3 * max_point_count
-    if is_other_method and integrator.implicit and unknown_count > MAX_UNKNOWNS:
+    if is_other_method and integrator.is_implicit and unknown_count > MAX_UNKNOWNS:
         message = f"{method} would solve for {unknown_count} unknowns at "
         raise OptionError(Fault("SIM024", f"{message}once", where="method"))
     if integrator.solver:
@@ -229,7 +233,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
             status, reason, stable_step = stats.status, stats.reason, stats.stable_step
     seconds = time.perf_counter() - start_time
     last_diagnostics = run.simulation.diagnostics(
-        run.state.state, run.step_time(run.state.steps)
+        run.state.state, run.step_time(run.state.step_count)
     )
     known_energies = [energy for energy in energies if energy is not None]
     is_complete = len(known_energies) == len(snapshots) and _has_constant_count(

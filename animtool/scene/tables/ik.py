@@ -111,8 +111,10 @@ def solve_trial(
         run,
         ErrorMeasure.LARGEST,
         unit="iterations",
-        where=lambda snapshot, point: _point_label(chosen_result, snapshot, point),
-        lines=lambda setting: scene_text(options_for(setting)),
+        point_label=lambda snapshot, point: _point_label(
+            chosen_result, snapshot, point
+        ),
+        request_lines=lambda setting: scene_text(options_for(setting)),
     )
 
 

@@ -99,8 +99,8 @@ def _write_systems(
     output: Path,
 ) -> None:
     """Write a scene in which some of its systems use another setting."""
-    assert trial.changes is not None
-    changes = dict(trial.changes(setting))
+    assert trial.changed_keys is not None
+    changes = dict(trial.changed_keys(setting))
     systems = list(scene.systems)
     for i, system in enumerate(systems):
         if system in members:
@@ -252,7 +252,7 @@ def _attach_trial(
         lambda: settings((MAX_STEP_RATIO, *STEP_FACTORS)),
         lambda: [settings(REFERENCE_FACTORS)],
         run,
-        lines=lambda setting: [f"simulate: {{rate: {setting['rate']:g}}}"],
+        request_lines=lambda setting: [f"simulate: {{rate: {setting['rate']:g}}}"],
     )
 
 

@@ -245,8 +245,8 @@ def _sample_trial(
         ErrorMeasure.LARGEST,
         CostMeasure.BYTES,
         "samples",
-        where=reference.point_label,
-        lines=lambda setting: [_scene_text(path, setting, rate_by_value)],
+        point_label=reference.point_label,
+        request_lines=lambda setting: [_scene_text(path, setting, rate_by_value)],
         write=write,
         size=points_extent(reference.snapshots[:1]),
     )
@@ -307,5 +307,5 @@ def _key_trial(path: Path, take: Take, joint_tolerances: dict[str, float]) -> Tr
         ErrorMeasure.LARGEST,
         CostMeasure.STEPS,
         "keys",
-        lines=lambda setting: [_scene_text(path, setting, {})],
+        request_lines=lambda setting: [_scene_text(path, setting, {})],
     )

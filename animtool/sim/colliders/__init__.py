@@ -3,10 +3,10 @@
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider, Poses
 from animtool.sim.colliders.colliding import (
-    Collided,
     Colliders,
+    CollisionResult,
+    ContactKind,
     Contacts,
-    Touch,
     collide,
 )
 from animtool.sim.colliders.on_joints import joint_poses, rig_colliders
@@ -26,9 +26,10 @@ __all__ = [
     "SHAPES",
     "Box",
     "Capsule",
-    "Collided",
     "Collider",
     "Colliders",
+    "CollisionResult",
+    "ContactKind",
     "Contacts",
     "HeightField",
     "Mesh",
@@ -39,7 +40,6 @@ __all__ = [
     "Sheet",
     "SheetMotion",
     "Sphere",
-    "Touch",
     "collide",
     "joint_poses",
     "rig_colliders",

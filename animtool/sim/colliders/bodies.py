@@ -31,10 +31,10 @@ class MovingBodies(Protocol):
     """Number of bodies that can be pushed."""
     masses: FloatArray
     """Masses of the bodies ``(count,)`` [kg]."""
-    fastest: float
+    max_speed: float
     """Largest speed of a body so far [m/s]."""
 
-    def ends(self, t0: float, t1: float) -> FloatArray:
+    def end_poses(self, t0: float, t1: float) -> FloatArray:
         """Return poses of the colliders ``(C, 2, 7)`` at both ends of a step [s]."""
 
     def inverse_masses(
@@ -47,7 +47,7 @@ class MovingBodies(Protocol):
         """
 
     def inertias(
-        self, t: float, *, begins: bool = False
+        self, t: float, *, is_step_start: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
 
@@ -70,7 +70,9 @@ class Wrenches:
     """Linear and angular impulses ``(count, 6)`` [N s], [N m s] about the origin."""
 
     impulses: FloatArray  # sum of the impulses
-    delayed: FloatArray  # sum of the impulses times the time since they were applied
+    delayed_impulses: (
+        FloatArray  # sum of the impulses times the time since they were applied
+    )
 
     @staticmethod
     def zeros(count: int) -> Wrenches:
@@ -82,12 +84,12 @@ class Wrenches:
         """Return the element-wise sum of several sets of impulses."""
         return Wrenches(
             np.sum([wrench.impulses for wrench in wrenches], axis=0),
-            np.sum([wrench.delayed for wrench in wrenches], axis=0),
+            np.sum([wrench.delayed_impulses for wrench in wrenches], axis=0),
         )
 
     def delayed_by(self, duration: float) -> Wrenches:
         """Return the same impulses as if they were applied ``duration`` [s] earlier."""
-        return Wrenches(self.impulses, self.delayed + duration * self.impulses)
+        return Wrenches(self.impulses, self.delayed_impulses + duration * self.impulses)
 
 
 def body_owners(
@@ -114,7 +116,7 @@ def pushable_table(bodies: Sequence[MovingBodies], t0: float, t1: float) -> Floa
     tables = [np.zeros((0, 13))]
     for system in bodies:
         if system.count:
-            centres, inverse_inertias = system.inertias(t0, begins=True)
+            centres, inverse_inertias = system.inertias(t0, is_step_start=True)
             end_centres, _ = system.inertias(t1)
             inertia_rows = inverse_inertias[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
             masses = 1 / system.masses[:, None]
@@ -156,28 +158,32 @@ def exchange_impulses(
     owners = np.where(shapes >= 0, bodies.owners[shapes], -1)
     velocity_change = with_contacts[1] - without_contacts[1]
     speed_change = np.linalg.norm(velocity_change, axis=1)
-    (touching,) = np.nonzero((owners >= 0) & (speed_change > 0))
+    (touching_indices,) = np.nonzero((owners >= 0) & (speed_change > 0))
     wrenches = Wrenches.zeros(bodies.count)
-    if not len(touching):
+    if not len(touching_indices):
         return with_contacts, wrenches
-    owners = owners[touching]
-    velocity_change = velocity_change[touching]
-    speed_change = speed_change[touching]
+    owners = owners[touching_indices]
+    velocity_change = velocity_change[touching_indices]
+    speed_change = speed_change[touching_indices]
     directions = velocity_change / speed_change[:, None]
-    displacement = with_contacts[0, touching] - without_contacts[0, touching]
-    elapsed = np.maximum((displacement * directions).sum(axis=1) / speed_change, 0.0)
-    end_points, end_velocities = with_contacts[:, touching]
-    points = end_points - elapsed[:, None] * end_velocities
+    displacement = (
+        with_contacts[0, touching_indices] - without_contacts[0, touching_indices]
+    )
+    elapsed_times = np.maximum(
+        (displacement * directions).sum(axis=1) / speed_change, 0.0
+    )
+    end_points, end_velocities = with_contacts[:, touching_indices]
+    points = end_points - elapsed_times[:, None] * end_velocities
     contact_counts = np.bincount(owners, minlength=bodies.count)[owners]
-    inverse_masses = 1.0 / masses[touching]
+    inverse_masses = 1.0 / masses[touching_indices]
     body_inverse_masses = bodies.inverse_masses(t, owners, points, directions)
     sums = inverse_masses + contact_counts * body_inverse_masses
     fraction = (inverse_masses / sums)[:, None]
     changes = fraction * np.stack([displacement, velocity_change])
     new_state = with_contacts.copy()
-    new_state[:, touching] = without_contacts[:, touching] + changes
-    impulses = -masses[touching, None] * fraction * velocity_change
+    new_state[:, touching_indices] = without_contacts[:, touching_indices] + changes
+    impulses = -masses[touching_indices, None] * fraction * velocity_change
     pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
     np.add.at(wrenches.impulses, owners, pushes)
-    np.add.at(wrenches.delayed, owners, elapsed[:, None] * pushes)
+    np.add.at(wrenches.delayed_impulses, owners, elapsed_times[:, None] * pushes)
     return new_state, wrenches

@@ -100,11 +100,14 @@ class Poses:
     def faults(self) -> list[str]:
         """Return a message for each invalid value."""
         times = np.asarray(self.times, np.float64)
-        expected = {"origins": (self.origins, 3), "rotations": (self.rotations, 4)}
+        arrays_and_widths = {
+            "origins": (self.origins, 3),
+            "rotations": (self.rotations, 4),
+        }
         if times.ndim != 1 or not len(times) or not (np.diff(times) > 0).all():
             return ["its times must ascend, and there must be at least one"]
         faults = [] if np.isfinite(times).all() else ["its times are not finite"]
-        for name, (values, width) in expected.items():
+        for name, (values, width) in arrays_and_widths.items():
             array = np.asarray(values, np.float64)
             if array.shape != (len(times), width):
                 shape = (len(times), width)
@@ -143,7 +146,7 @@ class Collider(Contact, CheckedRecord):
         return self.poses.teleports(self.shape.anchors(), self.speed_limit)
 
     @property
-    def speed(self) -> float:
+    def max_speed(self) -> float:
         """Maximum speed of the collider, teleports excluded [m/s]."""
         positions = self.poses.to_world(self.shape.anchors())
         distances = np.linalg.norm(np.diff(positions, axis=0), axis=2)
@@ -151,7 +154,7 @@ class Collider(Contact, CheckedRecord):
         speeds = distances / np.diff(self.poses.sample_times)
         return float(speeds[~self.teleports].max(initial=0.0))
 
-    def volume(self) -> Collider:
+    def as_solid(self) -> Collider:
         """Return the collider as a solid: a watertight mesh is marked as closed."""
         if not isinstance(self.shape, Mesh) or self.shape.closed:
             return self
@@ -166,7 +169,7 @@ class Collider(Contact, CheckedRecord):
             return row
         return self.poses.at(t)
 
-    def ends(self, t0: float, t1: float) -> FloatArray:
+    def end_poses(self, t0: float, t1: float) -> FloatArray:
         """Return the poses of the collider ``(2, 7)`` at both ends of a step."""
         if self.teleports.any() and self._has_teleported(t0, t1):
             return np.stack([self.pose(t1)] * 2)

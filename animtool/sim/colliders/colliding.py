@@ -37,7 +37,7 @@ _NO_MESH: tuple[Any, ...] = (
 )
 
 
-class Touch(IntEnum):
+class ContactKind(IntEnum):
     """The kind of contact a particle had in a step.
 
     Attributes:
@@ -60,7 +60,7 @@ class Contacts:
     Attributes:
         colliders: Index of the collider ``(N,)``, -1 without contact; colliders of
             bodies come after the others, sheets after them.
-        touches: Kind of contact, a `Touch` ``(N,)``.
+        touches: Kind of contact, a `ContactKind` ``(N,)``.
         normals: Unit normals out of the collider ``(N, 3)``.
     """
 
@@ -75,7 +75,7 @@ class Contacts:
 
 
 @dataclass(frozen=True, slots=True)
-class Collided:
+class CollisionResult:
     """Particles at the end of a step, after contact.
 
     Attributes:
@@ -103,7 +103,8 @@ class Colliders(Sequence[Collider]):
     """A set of colliders, prepared for repeated queries.
 
     Attributes:
-        rigid: Colliders of the sequence, then those of bodies, as kernels number them.
+        rigid_colliders: Colliders of the sequence, then those of bodies, as kernels
+            number them.
         sheets: Deforming surfaces; not members of the sequence.
         surfaces: The sheets, prepared for many substeps in one call.
         bodies: Bodies of other simulations; not members of the sequence.
@@ -121,8 +122,10 @@ class Colliders(Sequence[Collider]):
         self._colliders = tuple(colliders)
         self.sheets = tuple(sheets)
         self.bodies = tuple(bodies)
-        body_colliders = [one for system in bodies for one in system.colliders]
-        self.rigid = rigid = (*self._colliders, *body_colliders)
+        body_colliders = [
+            collider for system in bodies for collider in system.colliders
+        ]
+        rigid = self.rigid_colliders = (*self._colliders, *body_colliders)
         self.surfaces = Surfaces(self.sheets)
         faults = [
             fault
@@ -134,11 +137,11 @@ class Colliders(Sequence[Collider]):
         if faults:
             raise OptionError(faults)
         self._meshes, roots = _mesh_arrays([c.shape for c in rigid])
-        kinds = [
+        kind_rows = [
             (_SHAPE_KINDS[type(c.shape)], _active_side(c), root)
             for c, root in zip(rigid, roots, strict=True)
         ]
-        self._kinds = np.array(kinds, np.int64).reshape(-1, 3)
+        self._kinds = np.array(kind_rows, np.int64).reshape(-1, 3)
         self._sizes = np.zeros((len(rigid), _SIZE_COUNT))
         for row, collider in zip(self._sizes, rigid, strict=True):
             sizes = collider.shape.sizes()
@@ -156,28 +159,28 @@ class Colliders(Sequence[Collider]):
     @property
     def has_any(self) -> bool:
         """Whether the set contains any collider."""
-        return bool(self.rigid or self.sheets)
+        return bool(self.rigid_colliders or self.sheets)
 
     def __getitem__(self, index: Any) -> Any:
         """Return a collider, or a slice of them."""
         return self._colliders[index]
 
     def label(self, index: int) -> str:
-        """Return the quoted name of one of the `rigid` colliders, or its key."""
-        name = self.rigid[index].name
+        """Return the quoted name of one of the `rigid_colliders`, or its key."""
+        name = self.rigid_colliders[index].name
         return repr(name) if name else f"colliders[{index}]"
 
-    def arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
+    def kernel_arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
         """Return the kernel's arrays for a step between two times [s]."""
         poses = self._poses.copy()
         for i in self._moving_indices:
-            poses[i] = self._colliders[i].ends(t0, t1)
-        poses[len(self) :] = self.body_ends(t0, t1)
+            poses[i] = self._colliders[i].end_poses(t0, t1)
+        poses[len(self) :] = self.body_end_poses(t0, t1)
         return self._kinds, self._sizes, self._materials, poses, *self._meshes
 
-    def body_ends(self, t0: float, t1: float) -> FloatArray:
+    def body_end_poses(self, t0: float, t1: float) -> FloatArray:
         """Return poses ``(B, 2, 7)`` of bodies at both ends of a step [s]."""
-        ends = [system.ends(t0, t1) for system in self.bodies]
+        ends = [system.end_poses(t0, t1) for system in self.bodies]
         return np.concatenate([np.zeros((0, 2, 7)), *ends])
 
     def sample(
@@ -190,43 +193,47 @@ class Colliders(Sequence[Collider]):
         positions = as_floats(points, ("N", 3), "points")
         end = t0 if t1 is None else t1
         return ColliderSamples(
-            *_kernels.sample_colliders(self.arrays(t0, end), positions, 0.0, end - t0)
+            *_kernels.sample_colliders(
+                self.kernel_arrays(t0, end), positions, 0.0, end - t0
+            )
         )
 
     @cached_property
-    def volumes(self) -> Colliders:
+    def as_solids(self) -> Colliders:
         """The same colliders, with watertight meshes as solids."""
-        volumes = [
-            collider.volume()
-            if isinstance(collider.shape, Mesh) and collider.shape.watertight
+        solids = [
+            collider.as_solid()
+            if isinstance(collider.shape, Mesh) and collider.shape.is_watertight
             else collider
             for collider in self
         ]
-        if all(a is b for a, b in zip(volumes, self, strict=True)):
+        if all(a is b for a, b in zip(solids, self, strict=True)):
             return self
-        return Colliders(volumes, self.sheets, self.bodies)
+        return Colliders(solids, self.sheets, self.bodies)
 
     @property
-    def fastest(self) -> float:
+    def max_speed(self) -> float:
         """Maximum speed of any collider, teleports excluded [m/s].
 
         For surfaces and bodies, the highest so far.
         """
-        body_speeds = (system.fastest for system in self.bodies)
-        return max(self._max_speed, self.surfaces.fastest, *body_speeds)
+        body_speeds = (system.max_speed for system in self.bodies)
+        return max(self._max_static_speed, self.surfaces.max_speed, *body_speeds)
 
     @cached_property
-    def _max_speed(self) -> float:
+    def _max_static_speed(self) -> float:
         """Return the maximum speed of any rigid collider, teleports excluded [m/s]."""
-        return max((collider.speed for collider in self._colliders), default=0.0)
+        return max((collider.max_speed for collider in self._colliders), default=0.0)
 
     def notices(self) -> list[Fault]:
         """Return a warning for each teleport (SIM120); surfaces report those so far."""
         hint = "raise its speed limit if it should collide on its way"
         notices = [
-            teleport_warning(one.speed_limit, t, one.name or f"colliders[{i}]", hint)
-            for i, one in enumerate(self._colliders)
-            for t in one.poses.sample_times[1:][one.teleports].tolist()
+            teleport_warning(
+                collider.speed_limit, t, collider.name or f"colliders[{i}]", hint
+            )
+            for i, collider in enumerate(self._colliders)
+            for t in collider.poses.sample_times[1:][collider.teleports].tolist()
         ]
         return notices + self.surfaces.notices()
 
@@ -246,8 +253,8 @@ def collide(
     t0: float,
     t1: float,
     radii: ArrayLike = 0.0,
-    begins: ArrayLike | None = None,
-) -> Collided:
+    spawned_at: ArrayLike | None = None,
+) -> CollisionResult:
     """Return particles after contact at the end of a step.
 
     Paths are parabolas from the step's start to its end, so that particles do not
@@ -263,7 +270,7 @@ def collide(
         t0: Start of the step [s].
         t1: End of the step [s].
         radii: Particle radii ``(N,)``, or one for all [m].
-        begins: Spawn times of particles that spawn within the step ``(N,)`` [s], at
+        spawned_at: Spawn times of particles that spawn within the step ``(N,)`` [s], at
             which they have the state `before`; None for the start of the step.
 
     Raises:
@@ -284,12 +291,12 @@ def collide(
     end_state = np.stack([positions, end_velocities])
     start_state = as_floats(before, (2, count, 3), "before")
     radius_array = np.ascontiguousarray(np.broadcast_to(radii, count), np.float64)
-    spawn_times = np.zeros(count) if begins is None else np.subtract(begins, t0)
+    spawn_times = np.zeros(count) if spawned_at is None else np.subtract(spawned_at, t0)
     sheet_contacts = _stop_at_sheets(
         colliders, start_state, end_state, (t0, t1), radius_array, spawn_times
     )
     state, touches, normals = _kernels.collide_particles(
-        colliders.arrays(t0, t1),
+        colliders.kernel_arrays(t0, t1),
         start_state,
         end_state,
         radius_array,
@@ -301,7 +308,9 @@ def collide(
         touches[indices[is_untouched]] = kinds[is_untouched]
         normals[indices[is_untouched]] = sheet_normals[is_untouched]
     collider_indices, kinds = touches.T.copy()
-    return Collided(state[0], state[1], Contacts(collider_indices, kinds, normals))
+    return CollisionResult(
+        state[0], state[1], Contacts(collider_indices, kinds, normals)
+    )
 
 
 def _stop_at_sheets(
@@ -325,7 +334,7 @@ def _stop_at_sheets(
             continue
         indices = nearby.indices
         state, touches, normals = _kernels.collide_particles(
-            Colliders([nearby.collider]).arrays(t0, t1),
+            Colliders([nearby.collider]).kernel_arrays(t0, t1),
             nearby.start,
             nearby.end,
             radii[indices],
@@ -336,7 +345,7 @@ def _stop_at_sheets(
         is_touching = touches[:, 0] >= 0
         indices = indices[is_touching]
         end_state[:, indices] = state[:, is_touching]
-        touches[is_touching, 0] = len(collider_set.rigid) + i
+        touches[is_touching, 0] = len(collider_set.rigid_colliders) + i
         contacts.append((indices, touches[is_touching], normals[is_touching]))
     return contacts
 

@@ -48,7 +48,7 @@ class Plane:
 
 @dataclass(frozen=True, slots=True)
 class Sphere:
-    """A sphere.
+    """All points within a radius of a centre.
 
     Attributes:
         radius: Radius [m].
@@ -167,7 +167,7 @@ class Mesh:
         return points, np.ascontiguousarray(faces, np.int32)
 
     @property
-    def watertight(self) -> bool:
+    def is_watertight(self) -> bool:
         """Whether every edge has two triangles of consistent winding."""
         corners = self.weld()[1].astype(np.int64)
         edges = np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)])

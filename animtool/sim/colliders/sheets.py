@@ -100,17 +100,19 @@ def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> Float
     return np.concatenate([points + offsets, points - offsets])
 
 
-def hull_faces(triangles: IntArray, count: int) -> IntArray:
+def hull_faces(triangles: IntArray, point_count: int) -> IntArray:
     """Return the triangles of a hull around a surface of N points ``(M, 3)``."""
     edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
-    strides = [count, 1]
+    strides = [point_count, 1]
     is_rim = ~np.isin(edges @ strides, edges[:, ::-1] @ strides)
     edge_starts, edge_ends = edges[is_rim].T
     rim = [
-        np.stack([edge_ends, edge_starts, edge_starts + count], axis=1),
-        np.stack([edge_ends, edge_starts + count, edge_ends + count], axis=1),
+        np.stack([edge_ends, edge_starts, edge_starts + point_count], axis=1),
+        np.stack(
+            [edge_ends, edge_starts + point_count, edge_ends + point_count], axis=1
+        ),
     ]
-    back_faces = triangles[:, ::-1] + count
+    back_faces = triangles[:, ::-1] + point_count
     return np.concatenate([triangles, back_faces, *rim])
 
 
@@ -127,8 +129,8 @@ class NearbyStates:
 
 def nearby_states(
     sheet: Sheet,
-    before: FloatArray,
-    after: FloatArray,
+    start_states: FloatArray,
+    end_states: FloatArray,
     interval: tuple[float, float],
     radii: FloatArray,
     spawn_times: FloatArray,
@@ -141,24 +143,29 @@ def nearby_states(
     Limits of the method: if a sheet rotates by a large angle in one step, positions of
     particles have an error of this angle times their distance from the nearest point.
 
-    ``before`` and ``after`` are positions and velocities of particles at both ends of
-    the step, without contacts ``(2, N, 3)``. Radii are ``(N,)`` [m], spawn times are
-    from the start of the step ``(N,)`` [s].
+    ``start_states`` and ``end_states`` are positions and velocities of particles at
+    both ends of the step, without contacts ``(2, N, 3)``. Radii are ``(N,)`` [m], spawn
+    times are from the start of the step ``(N,)`` [s].
     """
     t0, t1 = interval
     sheet.motion.forget(t0)
     start_points, end_points = sheet.motion.points(t0), sheet.motion.points(t1)
     triangles = sheet.motion.triangles(t1)
     is_near = _is_near_sheet(
-        start_points, end_points, before[0], after[0], radii + sheet.radius
+        start_points, end_points, start_states[0], end_states[0], radii + sheet.radius
     )
     indices = np.flatnonzero(is_near)
     if not len(indices) or not len(triangles):
         return None
     motion = end_points - start_points
-    displacement = _displacement(before[0, indices], start_points, motion, triangles)
+    displacement = _displacement(
+        start_states[0, indices], start_points, motion, triangles
+    )
     velocity = displacement / (t1 - t0)
-    start_state, end_state = before[:, indices].copy(), after[:, indices].copy()
+    start_state, end_state = (
+        start_states[:, indices].copy(),
+        end_states[:, indices].copy(),
+    )
     start_state[0] += velocity * (t1 - t0 - spawn_times[indices])[:, None]
     start_state[1] -= velocity
     end_state[1] -= velocity
@@ -203,17 +210,21 @@ def _displacement(
     distances = np.linalg.norm(nearest_points - points[:, None], axis=2)
     distances[neighbours < 0] = np.inf
     nearest_triangle = distances.argmin(axis=1)[:, None, None]
-    candidates = np.einsum("ndk,ndkx->ndx", weights, displacements[corners])
-    return np.asarray(np.take_along_axis(candidates, nearest_triangle, axis=1)[:, 0])
+    candidate_displacements = np.einsum(
+        "ndk,ndkx->ndx", weights, displacements[corners]
+    )
+    return np.asarray(
+        np.take_along_axis(candidate_displacements, nearest_triangle, axis=1)[:, 0]
+    )
 
 
-def _triangles_by_point(triangles: IntArray, count: int) -> IntArray:
+def _triangles_by_point(triangles: IntArray, point_count: int) -> IntArray:
     """Return the triangles of each point, padded with -1 ``(N, max_triangles)``."""
     order = np.argsort(triangles.ravel(), kind="stable")
     sorted_corners, sorted_faces = triangles.ravel()[order], order // 3
-    starts = np.searchsorted(sorted_corners, np.arange(count + 1))
-    neighbours = np.full((count, max(int(np.diff(starts).max()), 1)), -1)
-    columns = np.arange(len(sorted_corners)) - starts[sorted_corners]
+    start_indices = np.searchsorted(sorted_corners, np.arange(point_count + 1))
+    neighbours = np.full((point_count, max(int(np.diff(start_indices).max()), 1)), -1)
+    columns = np.arange(len(sorted_corners)) - start_indices[sorted_corners]
     neighbours[sorted_corners, columns] = sorted_faces
     return neighbours
 

@@ -17,7 +17,7 @@ from animtool.sim.contact import SPEED_LIMIT
 # Shortest interval between samples of points [s]; they are interpolated in between.
 KNOT_INTERVAL = 1 / 240
 # Rounding tolerance of the number of steps between samples [1].
-ROUNDING = 1e-9
+RELATIVE_ROUNDING = 1e-9
 
 
 class Surfaces:
@@ -32,9 +32,9 @@ class Surfaces:
     def __init__(self, sheets: Sequence[Sheet]) -> None:
         self._sheets = tuple(sheets)
         self._start: float | None = None
-        self._prepared: list[_PreparedSheet] = []
+        self._prepared_sheets: list[_PreparedSheet] = []
         self._teleports: dict[tuple[int, float], Fault] = {}
-        self.fastest = 0.0
+        self.max_speed = 0.0
 
     def kernel_arrays(
         self, start: float, dt: float, first_step: int, step_count: int
@@ -45,15 +45,17 @@ class Surfaces:
         """
         if self._start != start:
             self._start = start
-            prepared = [_PreparedSheet(sheet, start) for sheet in self._sheets]
-            self._prepared = [sheet for sheet in prepared if len(sheet.faces)]
-        knot_steps = max(1, math.floor(KNOT_INTERVAL / dt * (1 + ROUNDING)))
+            prepared_sheets = [_PreparedSheet(sheet, start) for sheet in self._sheets]
+            self._prepared_sheets = [
+                sheet for sheet in prepared_sheets if len(sheet.faces)
+            ]
+        knot_steps = max(1, math.floor(KNOT_INTERVAL / dt * (1 + RELATIVE_ROUNDING)))
         first_knot, offset = divmod(first_step, knot_steps)
         last_knot = -(-(first_step + step_count) // knot_steps)
         knot_indices = np.arange(first_knot, last_knot + 1)
         knots = np.asarray(start + knot_indices * (knot_steps * dt), np.float64)
         arrays = []
-        for sheet_index, sheet in enumerate(self._prepared):
+        for sheet_index, sheet in enumerate(self._prepared_sheets):
             points = np.stack([sheet.points(t) for t in knots.tolist()])
             self._record_speed(sheet_index, sheet.sheet, points, knots)
             kernel, material = sheet.kernel, sheet.material
@@ -67,7 +69,9 @@ class Surfaces:
         distances = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
         speeds = distances / np.diff(knots)
         is_teleport = speeds > SPEED_LIMIT
-        self.fastest = max(self.fastest, float(speeds[~is_teleport].max(initial=0.0)))
+        self.max_speed = max(
+            self.max_speed, float(speeds[~is_teleport].max(initial=0.0))
+        )
         for time in knots[1:][is_teleport].tolist():
             label = sheet.name or f"sheets[{sheet_index}]"
             fault = teleport_warning(SPEED_LIMIT, time, label)
@@ -79,11 +83,11 @@ class Surfaces:
 
 
 def teleport_warning(
-    limit: float, end_time: float, where: str, hint: str | None = None
+    limit: float, end_time: float, location: str, hint: str | None = None
 ) -> Fault:
     """Return a warning about motion above a speed limit [m/s] (SIM120)."""
     message = f"it moves faster than {limit:g} m/s until {end_time:g} s: it collides "
-    return warning("SIM120", f"{message}with nothing", hint, where)
+    return warning("SIM120", f"{message}with nothing", hint, location)
 
 
 class _PreparedSheet:
@@ -99,7 +103,9 @@ class _PreparedSheet:
     def __init__(self, sheet: Sheet, start: float) -> None:
         self.sheet = sheet
         points = sheet.motion.points(start)
-        self._indices, self._triangles = _weld(points, sheet.motion.triangles(start))
+        self._indices, self._triangles = _used_topology(
+            points, sheet.motion.triangles(start)
+        )
         self._cached_points: tuple[FloatArray, FloatArray] | None = None
         margin = sheet.radius if sheet.closed else 0.0
         self.material = (
@@ -116,14 +122,18 @@ class _PreparedSheet:
         """Return the points of the faces ``(P, 3)`` [m] at a time [s]."""
         points = self.sheet.motion.points(t)
         if self._cached_points is None or self._cached_points[0] is not points:
-            welded = np.ascontiguousarray(points[self._indices], np.float64)
+            welded_points = np.ascontiguousarray(points[self._indices], np.float64)
             if not self.sheet.closed:
-                welded = hull_points(welded, self._triangles, self.sheet.radius)
-            self._cached_points = points, welded
+                welded_points = hull_points(
+                    welded_points, self._triangles, self.sheet.radius
+                )
+            self._cached_points = points, welded_points
         return self._cached_points[1]
 
 
-def _weld(points: FloatArray, triangles: IntArray) -> tuple[IntArray, IntArray]:
+def _used_topology(
+    points: FloatArray, triangles: IntArray
+) -> tuple[IntArray, IntArray]:
     """Return indices of the used points, and triangles without degenerate ones.
 
     Coincident points are merged, except in triangles that would become degenerate:

@@ -26,7 +26,7 @@ def step_doubling(base: Integrator) -> Integrator:
     and added to the state: so the order is one more than that of the base.
     """
     step = base.step
-    if step is None or base.control is not StepControl.FIXED or base.multistep:
+    if step is None or base.control is not StepControl.FIXED or base.is_multistep:
         message = f"{base.name} cannot be the base of adaptive_doubling"
         hint = "use one with fixed steps, such as rk4 or implicit_euler"
         raise OptionError(Fault("SIM006", message, where="base", hint=hint))
@@ -60,8 +60,8 @@ def step_doubling(base: Integrator) -> Integrator:
         drag_order=None,
         evaluations=base.evaluations and 3 * base.evaluations,
         error_order=base.order + 1,
-        symplectic=False,
-        reversible=False,
+        is_symplectic=False,
+        is_reversible=False,
     )
 
 
@@ -69,9 +69,9 @@ def _doubling_growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
     """Return the stability polynomial of two corrected half steps; may be empty."""
     if not base:
         return ()
-    half = [c / 2**i for i, c in enumerate(base)]
-    squared = poly.polymul(half, half)
-    growth = poly.polyadd(squared * (1 + gain), poly.polymul(base, [-gain]))
+    half_step_polynomial = [c / 2**i for i, c in enumerate(base)]
+    squared_polynomial = poly.polymul(half_step_polynomial, half_step_polynomial)
+    growth = poly.polyadd(squared_polynomial * (1 + gain), poly.polymul(base, [-gain]))
     return tuple(growth.tolist())
 
 
@@ -113,7 +113,7 @@ LSODA = Integrator(
     "scipy's, switches between methods for stiff and non-stiff systems",
     order=5,
     control=StepControl.SCIPY,
-    implicit=True,
+    is_implicit=True,
     solver="scipy.integrate:LSODA",
 )
 RADAU = Integrator(
@@ -121,6 +121,6 @@ RADAU = Integrator(
     "scipy's, implicit, adaptive: for stiff systems",
     order=5,
     control=StepControl.SCIPY,
-    implicit=True,
+    is_implicit=True,
     solver="scipy.integrate:Radau",
 )

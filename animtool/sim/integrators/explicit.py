@@ -80,12 +80,12 @@ class Tableau:
         >>> Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).growth()
         (1.0, 1.0, 0.5)
         """
-        stages = len(self.nodes)
-        matrix = np.zeros((stages, stages))
+        stage_count = len(self.nodes)
+        matrix = np.zeros((stage_count, stage_count))
         for i, row in enumerate(self.stage_weights):
             matrix[i, : len(row)] = row
-        powers, coefficients = np.ones(stages), [1.0]
-        for _ in range(stages):
+        powers, coefficients = np.ones(stage_count), [1.0]
+        for _ in range(stage_count):
             coefficients.append(float(np.dot(self.weights, powers)))
             powers = matrix @ powers
         return tuple(coefficients)

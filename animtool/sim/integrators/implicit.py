@@ -39,7 +39,7 @@ IMPLICIT_EULER = Integrator(
     order=1,
     step=implicit_euler,
     limit=no_limit,
-    implicit=True,
+    is_implicit=True,
 )
 
 
@@ -58,8 +58,8 @@ TRAPEZOID = Integrator(
     order=2,
     step=trapezoid,
     limit=no_limit,
-    implicit=True,
-    reversible=True,
+    is_implicit=True,
+    is_reversible=True,
 )
 
 
@@ -91,6 +91,6 @@ BDF2 = Integrator(
     order=2,
     step=bdf2,
     limit=no_limit,
-    implicit=True,
-    multistep=True,
+    is_implicit=True,
+    is_multistep=True,
 )

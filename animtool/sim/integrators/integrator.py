@@ -40,7 +40,7 @@ class StepControl(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class StepResult:
-    """The result of a step."""
+    """State after a step, with the error estimate and memory of the method."""
 
     state: FloatArray  # state after the step
     memory: object = None  # data for the next step
@@ -74,11 +74,11 @@ class Integrator:
         evaluations: Evaluations of rates or accelerations in a step; None if it varies.
         error_order: Power of the step size to which the error estimate is proportional;
             0 without an estimate.
-        multistep: Whether a step uses previous steps.
-        implicit: Whether a step solves equations.
-        symplectic: Whether it preserves phase-space area: the energy of systems without
-            drag then oscillates, but does not drift.
-        reversible: Whether a backward step undoes a step, up to rounding.
+        is_multistep: Whether a step uses previous steps.
+        is_implicit: Whether a step solves equations.
+        is_symplectic: Whether it preserves phase-space area: the energy of systems
+            without drag then oscillates, but does not drift.
+        is_reversible: Whether a backward step undoes a step, up to rounding.
         solver: Class of the SciPy solver, ``module:object``.
     """
 
@@ -93,10 +93,10 @@ class Integrator:
     drag_order: int | None = None
     evaluations: int | None = None
     error_order: int = 0
-    multistep: bool = False
-    implicit: bool = False
-    symplectic: bool = False
-    reversible: bool = False
+    is_multistep: bool = False
+    is_implicit: bool = False
+    is_symplectic: bool = False
+    is_reversible: bool = False
     solver: str = ""
 
     def largest_step(self, omega: float, damping_ratio: float = 0.0) -> float | None:

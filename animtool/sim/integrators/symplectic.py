@@ -40,7 +40,7 @@ SYMPLECTIC_EULER = Integrator(
     step=symplectic_euler,
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     evaluations=1,
-    symplectic=True,
+    is_symplectic=True,
 )
 
 
@@ -53,8 +53,12 @@ def velocity_verlet(
     velocity, which the kick changes.
     """
     x, v = y
-    cached = memory if isinstance(memory, np.ndarray) else None
-    first_acceleration = equations.acceleration(t, x, v) if cached is None else cached
+    cached_acceleration = memory if isinstance(memory, np.ndarray) else None
+    first_acceleration = (
+        equations.acceleration(t, x, v)
+        if cached_acceleration is None
+        else cached_acceleration
+    )
     v_half = v + (0.5 * h) * first_acceleration
     x_end = x + h * v_half
     second_acceleration = equations.acceleration(t + h, x_end, v_half)
@@ -74,8 +78,8 @@ VELOCITY_VERLET = Integrator(
         lambda z: [2, -2 * z, z * z - 1, 0.5 * z], lambda z: [1, -2 * z, z * z]
     ),
     drag_order=1,
-    symplectic=True,
-    reversible=True,
+    is_symplectic=True,
+    is_reversible=True,
 )
 
 
@@ -98,6 +102,6 @@ POSITION_VERLET = Integrator(
     limit=jury_limit(lambda z: [2, -2 * z, -1], lambda z: [1, -2 * z]),
     drag_order=1,
     evaluations=1,
-    symplectic=True,
-    reversible=True,
+    is_symplectic=True,
+    is_reversible=True,
 )

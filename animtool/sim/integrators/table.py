@@ -10,9 +10,9 @@ from animtool.sim.integrators.integrator import Integrator
 
 __all__ = ["INTEGRATORS", "find_integrator"]
 
-_FOLDER = "animtool.sim.integrators"
+_PACKAGE = "animtool.sim.integrators"
 # Modules of the integrators, sorted from simple to complex.
-_FAMILIES = {
+_MODULE_BY_NAME = {
     "euler": "explicit",
     "modified_euler": "explicit",
     "midpoint": "explicit",
@@ -31,7 +31,8 @@ _FAMILIES = {
     "radau": "adaptive",
 }
 INTEGRATORS: dict[str, str] = {
-    name: f"{_FOLDER}.{family}:{name.upper()}" for name, family in _FAMILIES.items()
+    name: f"{_PACKAGE}.{family}:{name.upper()}"
+    for name, family in _MODULE_BY_NAME.items()
 }
 
 

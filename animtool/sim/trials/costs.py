@@ -29,12 +29,12 @@ def pareto_optimal(costs: Sequence[Cost | None]) -> list[int]:
     [0, 1]
     """
     rows = [(cost.value, cost.error, i) for i, cost in enumerate(costs) if cost]
-    optimal, min_error = [], float("inf")
+    optimal_indices, min_error = [], float("inf")
     for _, error, i in sorted(rows):
         if error < min_error:
-            optimal.append(i)
+            optimal_indices.append(i)
             min_error = error
-    return sorted(optimal)
+    return sorted(optimal_indices)
 
 
 def recommended_index(
@@ -80,9 +80,9 @@ def cheapest_index(costs: Sequence[Cost | None], budget: float) -> int | None:
     if not candidates:
         return None
     lowest_cost = min(cost.value for cost, _ in candidates)
-    nearly_cheapest = [
+    tied_candidates = [
         (c.work, c.value, i)
         for c, i in candidates
         if c.value <= lowest_cost * (1 + TIMING_NOISE)
     ]
-    return min(nearly_cheapest)[-1]
+    return min(tied_candidates)[-1]

@@ -34,10 +34,10 @@ from animtool.sim.trials.trial import (
 )
 
 # A run with an observed order of convergence below this is chaotic.
-MIN_ORDER = 0.5
+MIN_CONVERGENCE_ORDER = 0.5
 # Differences relative to the extent that are rounding, or invisible: they do not make a
 # run chaotic.
-ROUNDING, INVISIBLE_ERROR = 1e-13, 1e-6
+RELATIVE_ROUNDING, INVISIBLE_ERROR = 1e-13, 1e-6
 # Larger errors, relative to the extent, mean that the run has diverged.
 DIVERGED_ERROR = 10.0
 # A run has also diverged if this fraction of points exists in only one of two runs.
@@ -69,7 +69,7 @@ def measure(
             one.
         progress: Called with the fraction done, 0 to 1.
     """
-    settings = list(dict.fromkeys([*trial.settings(), trial.chosen]))
+    settings = list(dict.fromkeys([*trial.settings(), trial.chosen_setting]))
     count = len({*settings, *trial.references()[0]})
     cache = _RunCache(trial, count, progress)
     reference, reference_outcome = _find_reference(trial, cache)
@@ -79,7 +79,7 @@ def measure(
     notices = [*trial.notices, *_trial_notices(trial, reference)]
     if reference_outcome is not None and reference is not None:
         if reference.sensitive:
-            rows = _rank_by_figures(rows, reference_outcome, trial.cost)
+            rows = _rank_by_figures(rows, reference_outcome, trial.cost_measure)
         else:
             rows = _mark_recommended(
                 rows, trial, reference, extent, instance_extent, budget
@@ -94,25 +94,26 @@ def measure(
         reference,
         rows,
         notices,
-        trial.error,
-        trial.cost,
+        trial.error_measure,
+        trial.cost_measure,
         trial.unit,
         budget,
         reach=instance_extent,
     )
     row = table.recommended
-    if row is None or row.chosen or trial.lines is None:
+    if row is None or row.chosen or trial.request_lines is None:
         return table
-    return replace(table, lines=tuple(trial.lines(row.setting)))
+    return replace(table, lines=tuple(trial.request_lines(row.setting)))
 
 
 class _RunCache:
     """Runs each setting once, and caches the result."""
 
     def __init__(
-        self, trial: Trial, count: int, progress: Callable[[float], None] | None
+        self, trial: Trial, setting_count: int, progress: Callable[[float], None] | None
     ) -> None:
-        self._trial, self._count, self._progress = trial, count, progress
+        self._trial, self._setting_count = trial, setting_count
+        self._progress = progress
         self._outcomes: dict[Setting, TrialOutcome] = {}
 
     def is_done(self, setting: Setting) -> bool:
@@ -124,7 +125,7 @@ class _RunCache:
         if setting not in self._outcomes:
             self._outcomes[setting] = self._run(setting)
             if self._progress is not None:
-                self._progress(min(1.0, len(self._outcomes) / self._count))
+                self._progress(min(1.0, len(self._outcomes) / self._setting_count))
         return self._outcomes[setting]
 
     def _run(self, setting: Setting) -> TrialOutcome:
@@ -132,7 +133,9 @@ class _RunCache:
         with np.errstate(all="ignore"):
             outcome = self._trial.run(setting)
             timings = [outcome.seconds]
-            max_runs = MAX_REPEATS if self._trial.cost is CostMeasure.SECONDS else 1
+            max_runs = (
+                MAX_REPEATS if self._trial.cost_measure is CostMeasure.SECONDS else 1
+            )
             while len(timings) < max_runs and sum(timings) < REPEAT_TIME:
                 timings.append(self._trial.run(setting).seconds)
         return replace(outcome, seconds=min(timings))
@@ -152,7 +155,9 @@ def _find_reference(
             if outcomes[-1].status is not Status.OK:
                 break
         else:
-            return _build_reference(settings[-1], outcomes, trial.error), outcomes[-1]
+            return _build_reference(
+                settings[-1], outcomes, trial.error_measure
+            ), outcomes[-1]
     return None, None
 
 
@@ -171,12 +176,14 @@ def _build_reference(
     fine_error = differences[-1].error(measure, instance_extent)
     extent = points_extent(outcomes[-1].snapshots) + instance_extent
     order = None
-    if fine_error > ROUNDING * extent:
+    if fine_error > RELATIVE_ROUNDING * extent:
         order = observed_order(coarse_error, fine_error)
-    is_chaotic = order is not None and order < MIN_ORDER
+    is_chaotic = order is not None and order < MIN_CONVERGENCE_ORDER
     is_sensitive = is_chaotic and fine_error > INVISIBLE_ERROR * extent
     factor = 1.0 if order is None else max(2**order - 1, 1.0)
-    return Reference(setting, differences[-1].scaled(1 / factor), order, is_sensitive)
+    return Reference(
+        setting, differences[-1].scaled_by(1 / factor), order, is_sensitive
+    )
 
 
 def _trial_rows(
@@ -189,18 +196,24 @@ def _trial_rows(
     rows: list[TrialRow] = []
     slow_rows: dict[str, TrialRow] = {}
     # Rows depend on timings only if time is the cost.
-    is_timed = reference_outcome is not None and trial.cost is CostMeasure.SECONDS
+    is_timed = (
+        reference_outcome is not None and trial.cost_measure is CostMeasure.SECONDS
+    )
     time_limit = None
     if reference_outcome and is_timed:
         time_limit = SLOW_RUN_FACTOR * max(reference_outcome.seconds, REPEAT_TIME)
     for setting in settings:
         row = slow_rows.get(setting.method)
-        if row is not None and setting != trial.chosen and not cache.is_done(setting):
+        if (
+            row is not None
+            and setting != trial.chosen_setting
+            and not cache.is_done(setting)
+        ):
             reason = f"skipped: {row.setting} took {row.seconds:.3g} s"
             rows.append(TrialRow(setting, reason=reason))
             continue
         row = _trial_row(trial, cache, setting, reference_outcome)
-        row = replace(row, chosen=setting == trial.chosen)
+        row = replace(row, chosen=setting == trial.chosen_setting)
         if time_limit is not None and row.seconds > time_limit:
             slow_rows[setting.method] = row
         rows.append(row)
@@ -241,8 +254,8 @@ def _trial_row(
         failed_row = replace(row, status=Status.UNSTABLE, reason=reason)
         return replace(failed_row, stable_step=outcome.stable_step)
     worst = ""
-    if trial.where is not None and error.worst_at is not None:
-        worst = trial.where(*error.worst_at)
+    if trial.point_label is not None and error.worst_at is not None:
+        worst = trial.point_label(*error.worst_at)
     return replace(completed_row, error=error, worst=worst)
 
 
@@ -261,8 +274,10 @@ def _energy_drift(energies: Sequence[Energy] | None) -> float | None:
         return None
     totals = np.array([energy.total for energy in energies])
     kinetic = max(energy.kinetic for energy in energies)
-    largest = max(kinetic, abs(float(totals[0])))
-    return float(np.abs(totals - totals[0]).max()) / largest if largest > 0 else None
+    max_energy = max(kinetic, abs(float(totals[0])))
+    return (
+        float(np.abs(totals - totals[0]).max()) / max_energy if max_energy > 0 else None
+    )
 
 
 def _trial_notices(trial: Trial, reference: Reference | None) -> list[Fault]:
@@ -297,22 +312,27 @@ def _mark_recommended(
         return [replace(row, recommended=row.chosen) for row in rows]
     # Errors below the error estimate of the reference count as equal.
     extent += instance_extent
-    floor = max(reference.error.error(trial.error, instance_extent), ROUNDING * extent)
+    min_error = max(
+        reference.error.error(trial.error_measure, instance_extent),
+        RELATIVE_ROUNDING * extent,
+    )
     costs: list[Cost | None] = []
     for row in rows:
         cost = None
         if row.error is not None:
-            error = row.error.error(trial.error, instance_extent)
-            cost = _row_cost(row, trial.cost, max(error, floor))
+            error = row.error.error(trial.error_measure, instance_extent)
+            cost = _row_cost(row, trial.cost_measure, max(error, min_error))
         costs.append(cost)
-    optimal = pareto_optimal(costs)
-    chosen = next(i for i, row in enumerate(rows) if row.chosen)
+    optimal_indices = pareto_optimal(costs)
+    current_index = next(i for i, row in enumerate(rows) if row.chosen)
     if budget is None:
-        recommended = recommended_index(costs, chosen, FALLBACK_TOLERANCE * extent)
+        best_index = recommended_index(
+            costs, current_index, FALLBACK_TOLERANCE * extent
+        )
     else:
-        recommended = cheapest_index(costs, budget)
+        best_index = cheapest_index(costs, budget)
     return [
-        replace(row, best=i in optimal, recommended=i == recommended)
+        replace(row, best=i in optimal_indices, recommended=i == best_index)
         for i, row in enumerate(rows)
     ]
 
@@ -335,11 +355,13 @@ def _rank_by_figures(
         if row.status is not Status.OK or figures.keys() != reference_figures.keys():
             costs.append(None)
             continue
-        names = reference_figures.keys()
-        excesses = [max(0.0, figures[name] - reference_figures[name]) for name in names]
+        figure_names = reference_figures.keys()
+        excesses = [
+            max(0.0, figures[name] - reference_figures[name]) for name in figure_names
+        ]
         costs.append(_row_cost(row, measure, max(1.0, *excesses)))
-    optimal = pareto_optimal(costs)
-    return [replace(row, best=i in optimal) for i, row in enumerate(rows)]
+    optimal_indices = pareto_optimal(costs)
+    return [replace(row, best=i in optimal_indices) for i, row in enumerate(rows)]
 
 
 def _relative_figures(

@@ -47,7 +47,7 @@ class Setting:
         return Setting(str(method), tuple(options.items()))
 
     def __getitem__(self, name: str) -> float:
-        """Return an option."""
+        """Return the value of an option by name."""
         return dict(self.options)[name]
 
     def __str__(self) -> str:
@@ -99,7 +99,7 @@ class CostMeasure(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class TrialOutcome:
-    """The result of running one setting."""
+    """Time, status, points and figures of a run with one setting."""
 
     seconds: float  # wall time of the simulation [s]
     steps: int  # number of steps
@@ -126,7 +126,7 @@ class Trial:
     name: str
     kind: str  # `particles`, `cloth`, `ik`
     span: float  # duration, with pre-roll [s]
-    chosen: Setting  # setting of the file
+    chosen_setting: Setting  # setting of the file
     # Settings to try, per method from coarse to fine.
     settings: Callable[[], list[Setting]]
     # Candidates for the reference: each a method with successively halved steps. The
@@ -134,15 +134,16 @@ class Trial:
     references: Callable[[], list[list[Setting]]]
     # Runs a setting; raises `OptionError` if the method does not apply.
     run: Callable[[Setting], TrialOutcome]
-    error: ErrorMeasure = ErrorMeasure.RMS  # the error that settings are ranked by
-    cost: CostMeasure = CostMeasure.SECONDS
+    # Error that settings are ranked by.
+    error_measure: ErrorMeasure = ErrorMeasure.RMS
+    cost_measure: CostMeasure = CostMeasure.SECONDS
     unit: str = "steps"  # unit of the counted work
     # Name and time of a point of a snapshot; None without names.
-    where: Callable[[int, int], str] | None = None
+    point_label: Callable[[int, int], str] | None = None
     # Keys of the file entry that request a setting; None without an entry.
-    changes: Callable[[Setting], Mapping[str, Any]] | None = None
+    changed_keys: Callable[[Setting], Mapping[str, Any]] | None = None
     # How to request a setting: scene file lines, or command options.
-    lines: Callable[[Setting], list[str]] | None = None
+    request_lines: Callable[[Setting], list[str]] | None = None
     # Writes a setting's result as USD for viewing; None if unavailable.
     write: Callable[[Setting, Path], None] | None = None
     size: float = 0.0  # size of the written figure [m]; 0 is unknown
@@ -194,7 +195,7 @@ class PointDistances:
         distance = self.largest if measure is ErrorMeasure.LARGEST else self.rms
         return distance + (0.0 if self.angle is None else self.angle * reach)
 
-    def scaled(self, factor: float) -> PointDistances:
+    def scaled_by(self, factor: float) -> PointDistances:
         """Return the distances multiplied by a factor."""
         return PointDistances(
             self.largest * factor,

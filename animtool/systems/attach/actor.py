@@ -31,7 +31,7 @@ from animtool.systems.attach.colliders import (
 from animtool.systems.attach.poses import LocalPose, interpolate_poses
 from animtool.systems.attach.settings import AttachSettings
 from animtool.systems.attach.skins import FramePoses, SkinSurface, skin_margin
-from animtool.systems.framework.bounds import MAX_VALUE
+from animtool.systems.framework.bounds import MAX_FRAME_VALUE
 from animtool.systems.framework.meter import ContactMeter, MeasuredSurface
 from animtool.systems.springs.body import TargetSprings
 from animtool.systems.springs.checks import tangle_notices
@@ -280,7 +280,7 @@ def step_rate(network: MassSpringNetwork, settings: AttachSettings) -> float:
 
 def check_motion(motion: FloatArray) -> None:
     """Raise SIM102 if a state ``(2, N, 3)`` is not finite or out of bounds."""
-    if np.abs(motion).max(initial=0.0) <= MAX_VALUE:
+    if np.abs(motion).max(initial=0.0) <= MAX_FRAME_VALUE:
         return
     magnitudes = np.abs(motion[0])
     magnitudes = np.where(np.isnan(magnitudes), np.inf, magnitudes)

@@ -130,7 +130,7 @@ class CharacterColliders:
         # First index and count of the character's rigid colliders.
         self.character_range = len(world), len(capsules)
         capsule_rows = slice(len(world), len(self._colliders))
-        self._sizes = self._colliders.arrays(0.0, 0.0)[1][capsule_rows].copy()
+        self._sizes = self._colliders.kernel_arrays(0.0, 0.0)[1][capsule_rows].copy()
         self._sizes[:, 6] = capsules.world_radii(start.world)
         # Capsules may be thicker than the body: points of it that start inside at bind
         # may stay that deep. Allowed signed distances, at most 0 ``(C, N)`` [m].
@@ -141,7 +141,7 @@ class CharacterColliders:
             distances = capsule_distances(points, bind_ends[c], bind_radius)
             depths[c] = np.minimum(distances, 0.0)
         self._allowed_depths = scale * depths
-        rigid_depths = np.zeros((len(self._colliders.rigid), len(points)))
+        rigid_depths = np.zeros((len(self._colliders.rigid_colliders), len(points)))
         rigid_depths[capsule_rows] = self._allowed_depths
         targets = body.targets(start)[0]
         skin_depths = [

@@ -42,7 +42,7 @@ from animtool.systems.attach.skins import FramePoses, SkinSurface, build_skins
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
-from animtool.systems.framework.simulation import growing
+from animtool.systems.framework.simulation import growing_field
 from animtool.systems.springs.motion import move_rigidly
 from animtool.systems.springs.solvers import LOOKBACK_TIME
 
@@ -60,7 +60,7 @@ class AttachState:
     velocities: FloatArray  # ``(N, 3)`` [m/s]
     # Particles that pierced the cloth ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(
-        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
+        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing_field()
     )
 
 

@@ -26,7 +26,7 @@ from animtool.maths.rows import Rows
 from animtool.systems.crowds.ground import GroundFrame
 from animtool.systems.crowds.spec import CrowdsModel, PopulationModel
 from animtool.systems.framework.groups import Groups, duplicate_names
-from animtool.systems.particles.emitter import Emitter, uniforms
+from animtool.systems.particles.emitter import Emitter, uniform_samples
 
 # Lowest preferred speed relative to the mean, and largest deviation from the mean in
 # standard deviations.
@@ -53,11 +53,11 @@ class Agents(Groups):
     """N agents of several populations, in the frame of the ground."""
 
     noun: ClassVar[str] = "agent"
-    starts: FloatArray  # start positions, x and z (N, 2) [m]
+    start_points: FloatArray  # start positions, x and z (N, 2) [m]
     speeds: FloatArray  # preferred speeds (N,) [m/s]
     max_speeds: FloatArray  # maximum speeds (N,) [m/s]
     # Weight with which an agent yields to those it touches (N,) [1].
-    yielding: FloatArray
+    yield_weights: FloatArray
     delays: FloatArray  # time from the start until they begin to walk (N,) [s]
     groups: npt.NDArray[np.int32]  # index of the group, -1 for none (N,)
     # Position in the group, to the left of its centre (N,) [m].
@@ -70,7 +70,7 @@ class Agents(Groups):
     @cached_property
     def heights(self) -> FloatArray:
         """Body height of each agent ``(N,)`` [m]."""
-        return self.per_individual([entry.height for entry in self.entries])
+        return self.repeat_per_individual([entry.height for entry in self.entries])
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def build_agents(
         group_count = int(samples[-1]["groups"].max(initial=group_count - 1)) + 1
     agents = Agents(
         spec.populations,
-        np.cumsum([len(sample["starts"]) for sample in samples]).tolist(),
+        np.cumsum([len(sample["start_points"]) for sample in samples]).tolist(),
         **{
             name: np.concatenate([sample[name] for sample in samples])
             for name in samples[0]
@@ -114,19 +114,19 @@ def _separate_at_start(
 
     Agents whose positions are from a file are reported.
     """
-    count, starts, overlap = len(agents), agents.starts, np.inf
+    count, points, overlap = len(agents), agents.start_points, np.inf
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(SEPARATION_ROUNDS):
         if overlap <= OVERLAP_TOLERANCE * radius:
             break
-        previous = starts
+        previous_points = points
         no_walls = np.zeros(count + 1, np.int32), np.zeros((0, 4))
-        starts, overlap = separate_agents(agents, previous, *no_walls)
+        points, overlap = separate_agents(agents, previous_points, *no_walls)
         # Separated agents may now be inside another.
-        overlap = overlap if (starts == previous).all() else np.inf
-    distances = np.linalg.norm(starts - agents.starts, axis=1)
+        overlap = overlap if (points == previous_points).all() else np.inf
+    distances = np.linalg.norm(points - agents.start_points, axis=1)
     is_moved = distances > OVERLAP_TOLERANCE * agents.radii
-    is_moved &= np.array(has_points, bool)[agents.kinds]
+    is_moved &= np.array(has_points, bool)[agents.entry_indices]
     faults = []
     if is_moved.any():
         message = f"{counted(int(is_moved.sum()), 'agent')} would start inside each "
@@ -137,7 +137,7 @@ def _separate_at_start(
         message = "agents start inside each other: too many for their region"
         hint = "use a larger region, or fewer agents"
         faults.append(warning("SIM147", message, hint))
-    return replace(agents, starts=starts), faults
+    return replace(agents, start_points=points), faults
 
 
 def separate_agents(
@@ -149,16 +149,16 @@ def separate_agents(
     """
     velocities, radius = np.zeros_like(x), float(agents.radii.max(initial=1.0))
     count = len(x)
-    separated, _, overlap, _ = _kernels.crowd_step(
+    separated_points, _, overlap, _ = _kernels.crowd_step(
         points=x, velocities=velocities, preferred=velocities,
-        radii=agents.radii, max_speeds=np.zeros(count), yielding=agents.yielding,
+        radii=agents.radii, max_speeds=np.zeros(count), yielding=agents.yield_weights,
         shoulders=np.zeros((count, 2)), depth=1.0, groups=agents.groups,
         modes=np.zeros(count, np.uint8), starts=first_walls, walls=walls,
         sight=radius, nearest=0, horizon=1.0, space=0.0, push=0.0, headway=0.0,
         side=0.0, step=1.0, max_passes=SEPARATION_ITERATIONS,
         tolerance=OVERLAP_TOLERANCE * radius,
     )  # fmt: skip
-    return separated, overlap
+    return separated_points, overlap
 
 
 def _sample_population(
@@ -180,7 +180,7 @@ def _sample_population(
         refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
     agent_indices = np.arange(count)
-    randoms = uniforms(population.seed, agent_indices, 10)
+    randoms = uniform_samples(population.seed, agent_indices, 10)
     randoms, body_randoms = np.split(randoms, [6], axis=1)
     group_size = population.group
     if points is None:
@@ -217,10 +217,10 @@ def _sample_population(
     max_speed = MAX_SPEED_RATIO * speed.mean if speed.most is None else speed.most
     goal_directions = _unit_vectors(2 * np.pi * body_randoms[:, 3])
     return {
-        "starts": starts,
+        "start_points": starts,
         "speeds": speeds,
         "max_speeds": np.maximum(max_speed, speeds),
-        "yielding": MIN_YIELDING + (1 - MIN_YIELDING) * randoms[:, 5],
+        "yield_weights": MIN_YIELDING + (1 - MIN_YIELDING) * randoms[:, 5],
         "delays": population.delay * randoms[:, 3],
         "groups": groups.astype(np.int32),
         "lateral_offsets": lateral_offsets,
@@ -243,15 +243,15 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
         "populations", [entry.name for entry in spec.populations]
     )
     for k, population in enumerate(spec.populations):
-        where = f"populations[{k}]"
+        location = f"populations[{k}]"
         for name in population.route:
             if name not in goals:
                 known_goals = f"the goals are {', '.join(goals)}"
                 hint = known_goals if goals else "add it to goals"
-                yield f"unknown goal {excerpt(name)}", where, hint
+                yield f"unknown goal {excerpt(name)}", location, hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
-            yield message, where, "then: stay"
+            yield message, location, "then: stay"
     for key in ("shows", "gaits"):
         has_key = [getattr(entry, key) is not None for entry in spec.populations]
         if any(has_key) and not all(has_key):

@@ -15,7 +15,7 @@ from animtool.core.record import dataclass
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.footing import Blend, BodyState, Footing, limit_landings
 from animtool.systems.crowds.gaits import PHASE_COUNT, weighted_sum
-from animtool.systems.crowds.ground import ground_at, rotated_about_y, wrap_angles
+from animtool.systems.crowds.ground import rotate_about_y, sample_ground, wrap_angles
 from animtool.systems.crowds.reach import MAX_CYCLE_RATE, LegReach, Stances, step_rates
 from animtool.systems.crowds.shoulders import Trunk
 
@@ -55,7 +55,7 @@ class AgentBodies(Footing):
     """Steps the bodies of N agents: phases, footholds and hips."""
 
     @cached_property
-    def animated(self) -> IntArray:
+    def animated_joints(self) -> IntArray:
         """Joints that gaits, leg IK or the trunk rotate, ascending ``(M,)``."""
         gaits = self.gaits
         rest = gaits.walker.rig.rest_rotations
@@ -70,12 +70,12 @@ class AgentBodies(Footing):
     @cached_property
     def trunk(self) -> Trunk:
         """Trunk joints that rotate the shoulders."""
-        return Trunk.of(self.gaits.walker.skeleton)
+        return Trunk.from_skeleton(self.gaits.walker.skeleton)
 
     @cached_property
     def animated_rotations(self) -> tuple[list[FloatArray], FloatArray]:
         """Local rotations of the animated joints: of each gait and of the idle clip."""
-        gaits, joints = self.gaits, self.animated
+        gaits, joints = self.gaits, self.animated_joints
         moving_rotations = [gait.rotations[:, joints] for gait in gaits.cycles]
         return moving_rotations, gaits.idle.rotations[:, joints]
 
@@ -103,28 +103,31 @@ class AgentBodies(Footing):
 
     def blend(self, paces: FloatArray) -> Blend:
         """Return gait weights and blended steps for speeds and yaw rates ``(N, 3)``."""
-        moving, leg = self.gaits.cycles, self.gaits.walker.leg_length
+        moving_gaits, leg_length = self.gaits.cycles, self.gaits.walker.leg_length
         speeds = paces[:, 0] / self.scales
         yaw_rates = paces[:, 1]
         left_speeds = paces[:, 2] / self.scales
-        samples = np.stack([np.maximum(speeds, 0.0), leg * yaw_rates], axis=1)
-        gait_points = np.array([[gait.speed, leg * gait.yaw_rate] for gait in moving])
+        samples = np.stack([np.maximum(speeds, 0.0), leg_length * yaw_rates], axis=1)
+        gait_points = np.array(
+            [[gait.speed, leg_length * gait.yaw_rate] for gait in moving_gaits]
+        )
         weights = _gait_weights(samples, gait_points)
         # BLAS sums in an order that depends on the number of agents; einsum does not.
-        gait_paces = np.array([[gait.speed, gait.period] for gait in moving])
+        gait_paces = np.array([[gait.speed, gait.period] for gait in moving_gaits])
         speed, period = np.einsum("ng,gk->kn", weights, gait_paces)
         cadence = (np.hypot(speeds, left_speeds) / speed) ** CADENCE_POWER
         rates = np.clip(cadence, MIN_CADENCE_RATIO, MAX_CADENCE_RATIO) / period
-        gait_steps = np.stack([gait.steps for gait in moving])
+        gait_steps = np.stack([gait.steps for gait in moving_gaits])
         steps = np.einsum("ng,gfk->nfk", weights, gait_steps)
-        gait_fractions = np.stack([gait.stance_fractions for gait in moving])
+        gait_fractions = np.stack([gait.stance_fractions for gait in moving_gaits])
         stance_fractions = np.einsum("ng,gf->nf", weights, gait_fractions)
         mean_fractions = stance_fractions.mean(axis=1)
         # Sideways, backward and spinning motion uses shorter, more frequent steps.
         side_step = left_speeds * mean_fractions / (2 * rates)
         back_step = -speeds * mean_fractions / (2 * rates)
         rate_factor = np.maximum(
-            np.abs(side_step) / (MAX_SIDE_STEP * leg), back_step / (MAX_BACK_STEP * leg)
+            np.abs(side_step) / (MAX_SIDE_STEP * leg_length),
+            back_step / (MAX_BACK_STEP * leg_length),
         )
         stance_yaw = np.abs(yaw_rates) * mean_fractions / rates
         rate_factor = np.maximum(rate_factor, stance_yaw / MAX_STANCE_YAW)
@@ -150,11 +153,11 @@ class AgentBodies(Footing):
         yaw_velocities = wrap_angles(after.headings - before.headings) / dt
         # Actual velocities: those of pushed agents differ from the preferred ones.
         velocities = (after.points - before.points) / dt
-        local_velocities = rotated_about_y(velocities, -after.headings)
+        local_velocities = rotate_about_y(velocities, -after.headings)
         left_speeds, forward_speeds = local_velocities.T
         paces = np.stack([forward_speeds, yaw_velocities, left_speeds], axis=1)
-        smoothing = -np.expm1(-dt / PACE_TIME)
-        paces = state.paces + (paces - state.paces) * smoothing
+        smoothing_factor = -np.expm1(-dt / PACE_TIME)
+        paces = state.paces + (paces - state.paces) * smoothing_factor
         blend = self.blend(paces)
         is_misplaced = self.is_misplaced(state, after, blend)
         is_standing = (state.swings < 0).all(axis=1)
@@ -170,7 +173,7 @@ class AgentBodies(Footing):
         yaw_rates = np.clip(yaw_velocities, low, high)
         rates, is_stance_over = step_rates(self.leg_reach, stances, speeds, yaw_rates)
         # Hurried steps slow down again with the pace.
-        target_rates = state.rates + (blend.rate - state.rates) * smoothing
+        target_rates = state.rates + (blend.rate - state.rates) * smoothing_factor
         max_rates = np.maximum(target_rates, state.rates + MAX_CADENCE_CHANGE * dt)
         rates = np.minimum(np.maximum(rates, target_rates), max_rates)
         phase_change = np.where(is_walking | ~is_standing, rates * dt, 0.0)
@@ -181,7 +184,7 @@ class AgentBodies(Footing):
             stance_phases = np.where(
                 is_stance_over[:, k], stances.phases[:, k], blend.stance_fractions[:, k]
             )
-            heel_pitches = self.pitches(k, stance_phases, blend, state.still)
+            heel_pitches = self.heel_pitches(k, stance_phases, blend, state.still)
             self._advance_foot(
                 k, phases, phase_change, blend, (before, after), footholds, swings
             )
@@ -200,7 +203,9 @@ class AgentBodies(Footing):
             remaining_times = (1 - (phases - 0.5 * k) % 1.0) / rates
             yaw = np.clip(paces[:, 1] * remaining_times, -MAX_YAW, MAX_YAW)
             points = after.points + after.velocities * remaining_times[:, None]
-            landings = self.landing(k, blend, points, after.headings + yaw, footholds)
+            landings = self.find_landings(
+                k, blend, points, after.headings + yaw, footholds
+            )
             was_planted = state.swings[:, k] < 0
             aims[is_swinging, k] = limit_landings(
                 aims, landings, swings, was_planted, self.scales, dt, k
@@ -234,8 +239,10 @@ class AgentBodies(Footing):
         """Return bodies with landed feet moved into reach, and hips lowered."""
         stances = self._foot_stances(state, motion, state.phases, blend)
         footholds = state.places.copy()
-        leg = self.gaits.walker.leg_length
-        lowering = np.maximum(before.lowered - HIP_RISE_SPEED * leg * dt, 0.0)
+        leg_length = self.gaits.walker.leg_length
+        hip_lowerings = np.maximum(
+            before.lowered - HIP_RISE_SPEED * leg_length * dt, 0.0
+        )
         for k in range(2):
             foot_stance = k, stances.thighs[:, k], stances.feet[:, k]
             pitches = stances.pitches[0, :, k]
@@ -245,19 +252,19 @@ class AgentBodies(Footing):
             has_landed = is_planted & is_changed
             overreach = np.minimum(reach_margin, 0.0)[:, None]
             shift = overreach * outwards * self.scales[:, None]
-            shift = rotated_about_y(shift, motion.headings)
+            shift = rotate_about_y(shift, motion.headings)
             footholds[has_landed, k, :2] += shift[has_landed]
             required_lowering = self.leg_reach.hip_lowering(*foot_stance, pitches)
             required_lowering = np.where(is_planted, required_lowering, 0.0)
-            lowering = np.maximum(lowering, required_lowering)
-        return replace(state, places=footholds, lowered=lowering)
+            hip_lowerings = np.maximum(hip_lowerings, required_lowering)
+        return replace(state, places=footholds, lowered=hip_lowerings)
 
     @cached_property
     def leg_reach(self) -> LegReach:
-        """Reach of the legs."""
-        return LegReach.of(self.gaits)
+        """Reach of both legs, from the thigh positions in all gaits."""
+        return LegReach.from_gaits(self.gaits)
 
-    def pitches(
+    def heel_pitches(
         self,
         k: int,
         stance_phases: FloatArray,
@@ -279,11 +286,11 @@ class AgentBodies(Footing):
         """Return the stances of both feet at phases ``(N,)``."""
         feet = np.zeros((len(phases), 2, 4))
         offsets = state.places[..., :2] - motion.points[:, None]
-        offsets = rotated_about_y(offsets, -motion.headings[:, None])
+        offsets = rotate_about_y(offsets, -motion.headings[:, None])
         feet[..., [0, 2]] = offsets / self.scales[:, None, None]
         feet[..., 3] = wrap_angles(state.places[..., 2] - motion.headings[:, None])
-        heights, _ = ground_at(self.ground, state.places[..., :2].reshape(-1, 2))
-        body_height, _ = ground_at(self.ground, motion.points)
+        heights, _ = sample_ground(self.ground, state.places[..., :2].reshape(-1, 2))
+        body_height, _ = sample_ground(self.ground, motion.points)
         feet[..., 1] = heights.reshape(-1, 2) - body_height[:, None]
         feet[..., 1] /= self.scales[:, None]
         thighs = self.leg_reach.thighs(phases, blend.weights, state.still)
@@ -291,7 +298,7 @@ class AgentBodies(Footing):
         phase = (phases[:, None] - [0.0, 0.5]) % 1.0
         ends, is_swinging = blend.stance_fractions, state.swings >= 0
         pitches = [
-            [self.pitches(k, stance[:, k], blend, state.still) for k in range(2)]
+            [self.heel_pitches(k, stance[:, k], blend, state.still) for k in range(2)]
             for stance in (phase, ends)
         ]
         pitch_array = np.array(pitches).swapaxes(1, 2)
@@ -318,7 +325,7 @@ class AgentBodies(Footing):
     ) -> FloatArray:
         """Return phases ``(N,)``; bodies that start to walk lift the rear foot."""
         offsets = self.standing_targets(motion, blend) - state.places
-        forward = rotated_about_y(offsets[..., :2], -motion.headings[:, None])[..., 1]
+        forward = rotate_about_y(offsets[..., :2], -motion.headings[:, None])[..., 1]
         scores = forward + np.where(is_misplaced, 10.0, 0.0)
         left_phases, right_phases = (blend.stance_fractions + np.array([0.0, 0.5])).T
         lift_phases = np.where(scores[:, 1] > scores[:, 0], right_phases, left_phases)
@@ -352,7 +359,7 @@ class AgentBodies(Footing):
         points = before.points + fraction[:, None] * (after.points - before.points)
         rotation = wrap_angles(after.headings - before.headings)
         headings = before.headings + fraction * rotation
-        landings = self.landing(k, blend, points, headings, footholds)
+        landings = self.find_landings(k, blend, points, headings, footholds)
         footholds[has_landed, k] = landings[has_landed]
         swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]
         swings[has_landed, k] = -1.0
@@ -371,5 +378,7 @@ def _gait_weights(samples: FloatArray, gait_points: FloatArray) -> FloatArray:
     sample_offsets = samples[:, None] - gait_points[None]
     projections = np.einsum("nik,ijk->nij", sample_offsets, offsets) / squares
     # The nearest band has at least half the weight: the sum is never 0.
-    bands = np.clip(1 - projections, 0.0, 1.0).min(axis=2)
-    return np.asarray(bands / bands.sum(axis=1, keepdims=True))
+    unnormalized_weights = np.clip(1 - projections, 0.0, 1.0).min(axis=2)
+    return np.asarray(
+        unnormalized_weights / unnormalized_weights.sum(axis=1, keepdims=True)
+    )

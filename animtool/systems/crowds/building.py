@@ -40,20 +40,20 @@ MAX_CLEARING_PASSES = 20
 
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     """Build the crowd of a spec; raise SIM145 if the spec is invalid."""
-    begin, parts = context.begin, context.parts["populations"]
+    begin, population_data = context.begin, context.parts["populations"]
     frame, ground = read_ground(context)
     if context.colliders.sheets:
         message = "crowds avoid shapes, rigid bodies and the capsules of characters"
         hint = "use its colliders instead of the surface"
         refuse("SIM145", message, "systems", hint)
-    agents, notices = build_agents(spec, parts, begin, frame)
+    agents, notices = build_agents(spec, population_data, begin, frame)
     steering, obstacles = _build_steering(spec, agents, frame, ground, context)
     start_points, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
     notices += moved_warnings
     notices += unreachable_goal_warnings(
         spec, agents, steering, obstacles, start_points, begin
     )
-    prototypes = [part.get("shows") for part in parts]
+    prototypes = [data.get("shows") for data in population_data]
     meshes_by_prototype = {show: show() for show in prototypes if show is not None}
     sources = list(meshes_by_prototype)
     mesh_indices = [sources.index(show) if show else 0 for show in prototypes]
@@ -120,7 +120,7 @@ def _build_bodies(
     context: SimContext,
 ) -> tuple[AgentCast | None, FallSimulator | None]:
     """Return bodies if populations have gaits, and ragdolls if colliders move."""
-    gait_sources = [part.get("gaits") for part in context.parts["populations"]]
+    gait_sources = [data.get("gaits") for data in context.parts["populations"]]
     gaits = [source for source in gait_sources if source is not None]
     if not gaits:
         return None, None
@@ -130,7 +130,7 @@ def _build_bodies(
     colliders = context.colliders
     is_fixed = all(collider.poses.is_fixed for collider in colliders)
     has_moving_colliders = bool(colliders.bodies) or not is_fixed
-    cast = AgentCast.of(agents, gaits, ground, can_fall=has_moving_colliders)
+    cast = AgentCast.from_sources(agents, gaits, ground, can_fall=has_moving_colliders)
     can_fall = all(group.cast.rig.colliders for group in cast.groups)
     if not (has_moving_colliders and can_fall and len(agents)):
         return cast, None
@@ -151,7 +151,7 @@ def clear_starts(
     agents: Agents, grid: NavGrid | None, obstacles: Obstacles, begin: float
 ) -> tuple[FloatArray, list[Fault]]:
     """Return start positions outside of obstacles, and warnings (SIM148)."""
-    positions, notices = agents.starts, list[Fault]()
+    positions, notices = agents.start_points, list[Fault]()
     count = len(agents)
     if grid is not None and count and grid.is_free.any():
         is_off_grid = is_blocked(grid, positions)
@@ -160,13 +160,15 @@ def clear_starts(
     radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_CLEARING_PASSES):
         walls = obstacles.walls(begin, 0.0, positions)
-        if not (walls.gaps < 0).any() and (positions == agents.starts).all():
+        if not (walls.gaps < 0).any() and (positions == agents.start_points).all():
             break
         previous = positions
-        positions, _ = separate_agents(agents, positions, walls.first_walls, walls.rows)
+        positions, _ = separate_agents(
+            agents, positions, walls.first_walls, walls.half_planes
+        )
         if np.abs(positions - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
             break
-    distances = np.linalg.norm(positions - agents.starts, axis=1)
+    distances = np.linalg.norm(positions - agents.start_points, axis=1)
     is_moved = distances > OVERLAP_TOLERANCE * agents.radii
     if is_moved.any():
         first = agents.label(int(np.argmax(is_moved)))
@@ -203,10 +205,10 @@ def _nearest_reachable(
     grid: NavGrid, position: FloatArray, components: IntArray
 ) -> FloatArray:
     """Return x and z of the node of the components nearest to a goal ``(2,)``."""
-    nodes = np.flatnonzero(np.isin(grid.components.ravel(), components))
-    if not len(nodes):
-        nodes = grid.nearest_free_node(position)
-    points = grid.node_positions(nodes)
+    node_indices = np.flatnonzero(np.isin(grid.components.ravel(), components))
+    if not len(node_indices):
+        node_indices = grid.nearest_free_node(position)
+    points = grid.node_positions(node_indices)
     return np.asarray(points[int(((points - position) ** 2).sum(axis=1).argmin())])
 
 
@@ -232,13 +234,13 @@ def unreachable_goal_warnings(
             nearest = _nearest_reachable(grid, position, start_components)
             message = f"the goal {goal.name!r} is {problem}: agents go to "
             message += f"{obstacles.world_text(nearest)} instead"
-            where = f"goals[{goal_index}].at"
-            faults.append(warning("SIM146", message, hint, where))
+            location = f"goals[{goal_index}].at"
+            faults.append(warning("SIM146", message, hint, location))
             continue
         goal_component = components[grid.nearest_free_node(position)[0]]
         for population_index, population in enumerate(spec.populations):
             is_cut_off = start_components != goal_component
-            is_cut_off &= agents.kinds == population_index
+            is_cut_off &= agents.entry_indices == population_index
             if goal.name in population.route and is_cut_off.any():
                 message = f"no path leads {counted(int(is_cut_off.sum()), 'agent')} of "
                 message += f"{population.name!r} to the goal {goal.name!r}: they go "

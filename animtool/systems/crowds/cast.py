@@ -21,10 +21,10 @@ from animtool.systems.crowds.footing import BodyState
 from animtool.systems.crowds.gaits import Gaits
 from animtool.systems.crowds.ground import (
     GroundFrame,
-    Heights,
+    GroundSampler,
     Terrain,
-    ground_at,
     rotations_about_y,
+    sample_ground,
 )
 from animtool.systems.crowds.poses import body_poses
 
@@ -51,17 +51,17 @@ class AgentCast:
     order: IntArray  # agent order, rig by rig (N,)
 
     @staticmethod
-    def of(
+    def from_sources(
         agents: Agents,
         sources: Sequence[Callable[[], Gaits]],
-        ground: Heights,
+        ground: GroundSampler,
         *,
         can_fall: bool,
     ) -> AgentCast:
         """Return the bodies of agents, from the gaits of their populations."""
         distinct_sources = list(dict.fromkeys(sources))
         source_indices = [distinct_sources.index(source) for source in sources]
-        sources_of_agents = np.array(source_indices)[agents.kinds]
+        sources_of_agents = np.array(source_indices)[agents.entry_indices]
         groups = []
         for k, source in enumerate(distinct_sources):
             agent_indices = np.flatnonzero(sources_of_agents == k)
@@ -117,12 +117,12 @@ class AgentCast:
                 rigs[i] = group.cast.rig
         return rigs
 
-    def world(
+    def joint_transforms(
         self,
         state: BodyState,
         motion: AgentMotion,
         frame: GroundFrame,
-        ground: Heights,
+        ground: GroundSampler,
         agent: int,
     ) -> WorldTransforms:
         """Return the world transforms of an agent's joints, as one frame."""
@@ -136,7 +136,7 @@ class AgentCast:
         world = forward_kinematics(rig, positions, poses.rotations)
         heading = rotations_about_y(motion.headings[row])
         rotation = so3.multiply(frame.rotation, heading)
-        heights, _ = ground_at(ground, motion.points[row])
+        heights, _ = sample_ground(ground, motion.points[row])
         origin = np.insert(motion.points[row], 1, heights, axis=1)
         matrix = so3.to_matrix(rotation)
         positions = so3.rotate(rotation, scales[:, None, None] * world.positions)
@@ -215,7 +215,7 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     level_bodies = replace(bodies, scales=np.ones(count), ground=Terrain())
     initial = level_bodies.initial(motion, np.zeros(count))
     poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
-    animated_joints = bodies.animated
+    animated_joints = bodies.animated_joints
     if can_fall:
         capsules = JointCapsules.from_rig(gaits.walker.rig)
         animated_joints = np.union1d(animated_joints, capsules.joints)

@@ -24,8 +24,8 @@ from animtool.systems.crowds.agents import OVERLAP_TOLERANCE, AgentMotion, Agent
 from animtool.systems.crowds.ground import (
     GroundFrame,
     Terrain,
-    ground_at,
     rotations_about_y,
+    sample_ground,
     wrap_angles,
 )
 from animtool.systems.crowds.obstacles import Obstacles, Walls
@@ -35,7 +35,7 @@ from animtool.systems.crowds.shoulders import (
     step_shoulders,
 )
 from animtool.systems.crowds.spec import CrowdsModel
-from animtool.systems.crowds.steering import GONE, Progress, Steering
+from animtool.systems.crowds.steering import DEPARTED_STAGE, Progress, Steering
 from animtool.systems.framework.simulation import Diagnostics
 
 if TYPE_CHECKING:
@@ -101,22 +101,26 @@ class Crowd:
     @cached_property
     def _relaxation_times(self) -> FloatArray:
         """Relaxation time of each agent to its preferred velocity ``(N,)`` [s]."""
-        return self.agents.per_individual(
+        return self.agents.repeat_per_individual(
             [population.acceleration for population in self.agents.entries]
         )
 
     def initial(self) -> CrowdState:
         """Return the initial state, with headings along the preferred velocities."""
         x, progress = self.start_points, self.steering.initial()
-        at_rest = np.zeros_like(x)
-        preferred = self.steering.preferred_velocities(np.inf, self.begin, progress, x)
-        headings = np.arctan2(preferred[:, 0], preferred[:, 1])
+        zero_velocities = np.zeros_like(x)
+        preferred_velocities = self.steering.preferred_velocities(
+            np.inf, self.begin, progress, x
+        )
+        headings = np.arctan2(preferred_velocities[:, 0], preferred_velocities[:, 1])
         bodies = None
         if self.cast is not None:
-            motion = AgentMotion(x, at_rest, headings)
+            motion = AgentMotion(x, zero_velocities, headings)
             bodies = self.cast.initial(motion, self.agents.clip_phases)
-        falls = None if self.fall_simulator is None else self.fall_simulator.no_falls()
-        return CrowdState(x, at_rest, headings, progress, 0.0, bodies, falls)
+        falls = (
+            None if self.fall_simulator is None else self.fall_simulator.empty_falls()
+        )
+        return CrowdState(x, zero_velocities, headings, progress, 0.0, bodies, falls)
 
     def step(self, state: CrowdState, t: float, dt: float) -> CrowdState:
         """Return the state after a step [s]."""
@@ -124,33 +128,41 @@ class Crowd:
         if not len(agents):
             return state
         x, v = state.points, state.velocities
-        preferred = self.steering.preferred_velocities(t, self.begin, state.progress, x)
+        preferred_velocities = self.steering.preferred_velocities(
+            t, self.begin, state.progress, x
+        )
         fractions = -np.expm1(-dt / self._relaxation_times)[:, None]
-        relaxed_velocities = v + (preferred - v) * fractions
+        relaxed_velocities = v + (preferred_velocities - v) * fractions
         walls = self.obstacles.walls(t, dt, x)
         has_fallen = np.zeros(len(x), np.bool_)
         if state.falls is not None:
             has_fallen[state.falls.agents] = True
         modes = np.where(has_fallen, STAYING, WALKING)
-        modes[state.progress.stages == GONE] = LEFT_SCENE
-        _check_finite(t, x, v, relaxed_velocities, walls.rows)
+        modes[state.progress.stages == DEPARTED_STAGE] = LEFT_SCENE
+        _check_finite(t, x, v, relaxed_velocities, walls.half_planes)
         shoulders = self._shoulder_yaws(state, has_fallen)
         points, velocities, overlap, shoulder_targets = _kernels.crowd_step(
             points=x, velocities=v, preferred=relaxed_velocities,
-            radii=agents.radii, max_speeds=agents.max_speeds, yielding=agents.yielding,
-            shoulders=shoulder_vectors(state.headings, shoulders), depth=DEPTH_RATIO,
+            radii=agents.radii, max_speeds=agents.max_speeds,
+            yielding=agents.yield_weights, depth=DEPTH_RATIO,
+            shoulders=shoulder_vectors(state.headings, shoulders),
             groups=agents.groups, modes=modes, starts=walls.first_walls,
-            walls=walls.rows, sight=avoidance.sight, nearest=avoidance.nearest,
+            walls=walls.half_planes, sight=avoidance.sight, nearest=avoidance.nearest,
             horizon=avoidance.horizon, space=avoidance.space, push=avoidance.push,
             headway=avoidance.headway, side=SIDE_PREFERENCES[avoidance.side], step=dt,
             max_passes=SEPARATION_PASSES,
             tolerance=OVERLAP_TOLERANCE * float(agents.radii.min()),
         )  # fmt: skip
         progress = self.steering.advance(state.progress, points, dt)
-        headings = self._rotate_headings(state.headings, preferred, velocities, dt)
+        headings = self._rotate_headings(
+            state.headings, preferred_velocities, velocities, dt
+        )
         bodies, falls = state.bodies, state.falls
         if self.cast is not None and bodies is not None:
-            before, after = _motion_of(state), AgentMotion(points, velocities, headings)
+            before, after = (
+                agent_motion(state),
+                AgentMotion(points, velocities, headings),
+            )
             speeds = self._impact_speeds(walls, dt)
             is_hit = speeds > self.spec.impact.stagger
             bodies = self.cast.advance(bodies, before, after, dt, is_hit)
@@ -159,9 +171,9 @@ class Crowd:
             bodies = replace(bodies, shoulders=shoulders)
             if self.fall_simulator is not None and falls is not None:
                 is_falling = (speeds > self.spec.impact.fall) & ~has_fallen
-                new_falls = np.flatnonzero(is_falling)
-                if len(new_falls):
-                    falls = self._add_falls(state, falls, new_falls, dt)
+                falling_agents = np.flatnonzero(is_falling)
+                if len(falling_agents):
+                    falls = self._add_falls(state, falls, falling_agents, dt)
                 falls = self.fall_simulator.step(falls, t, dt)
         _check_finite(t + dt, points, headings)
         overlap = max(state.overlap, overlap)
@@ -170,7 +182,7 @@ class Crowd:
         )
 
     def _add_falls(
-        self, state: CrowdState, falls: Falls, new_falls: IntArray, dt: float
+        self, state: CrowdState, falls: Falls, falling_agents: IntArray, dt: float
     ) -> Falls:
         """Return the falls with agents ``(K,)`` added, which fall from a step's start.
 
@@ -179,14 +191,16 @@ class Crowd:
         assert self.cast is not None
         assert self.fall_simulator is not None
         assert state.bodies is not None
-        motion, v = _motion_of(state), state.velocities
+        motion, v = agent_motion(state), state.velocities
         next_motion = AgentMotion(motion.points + v * dt, v, motion.headings)
         no_hits = np.zeros(len(v), np.bool_)
         next_bodies = self.cast.advance(state.bodies, motion, next_motion, dt, no_hits)
-        indices = new_falls.tolist()
+        indices = falling_agents.tolist()
         poses = [self._world(state.bodies, motion, i) for i in indices]
         next_poses = [self._world(next_bodies, next_motion, i) for i in indices]
-        return self.fall_simulator.add_falls(falls, new_falls, poses, next_poses, dt)
+        return self.fall_simulator.add_falls(
+            falls, falling_agents, poses, next_poses, dt
+        )
 
     def _shoulder_yaws(self, state: CrowdState, has_fallen: BoolArray) -> FloatArray:
         """Return the shoulder yaws of agents ``(N,)`` [rad].
@@ -208,13 +222,19 @@ class Crowd:
     def _world(self, bodies: BodyState, motion: AgentMotion, i: int) -> WorldTransforms:
         """Return the world transforms of an agent's joints."""
         assert self.cast is not None
-        return self.cast.world(bodies, motion, self.ground_frame, self.ground, i)
+        return self.cast.joint_transforms(
+            bodies, motion, self.ground_frame, self.ground, i
+        )
 
     def _rotate_headings(
-        self, headings: FloatArray, preferred: FloatArray, v: FloatArray, dt: float
+        self,
+        headings: FloatArray,
+        preferred_velocities: FloatArray,
+        v: FloatArray,
+        dt: float,
     ) -> FloatArray:
         """Return headings ``(N,)`` [rad], rotated towards the direction of motion."""
-        directions = v + FACING_PREFERRED * preferred
+        directions = v + FACING_PREFERRED * preferred_velocities
         slow_speeds = SLOW_YAW_SPEED * self.agents.speeds
         speed_ratio = np.linalg.norm(directions, axis=1) / slow_speeds
         yaw = wrap_angles(np.arctan2(directions[:, 0], directions[:, 1]) - headings)
@@ -229,25 +249,25 @@ class Crowd:
     ) -> PointsFrame | TransformsFrame | CharactersFrame:
         """Return agents as points, meshes or characters."""
         agents = self.agents
-        is_visible = state.progress.stages != GONE
+        is_visible = state.progress.stages != DEPARTED_STAGE
         if state.bodies is None:
             ids = np.flatnonzero(is_visible)
         else:
             ids = np.arange(len(is_visible))
         x, v = state.points[ids], state.velocities[ids]
-        heights, normals = ground_at(self.ground, x)
+        heights, normals = sample_ground(self.ground, x)
         # Velocities are along the ground.
         rise = -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
         frame = self.ground_frame
         points = frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
         velocities = frame.vector_to_world(np.column_stack([v[:, 0], rise, v[:, 1]]))
-        kinds = agents.kinds[ids]
-        primvars = {"population": kinds} if len(agents.entries) > 1 else {}
+        entry_indices = agents.entry_indices[ids]
+        primvars = {"population": entry_indices} if len(agents.entries) > 1 else {}
         if self.cast is not None and state.bodies is not None:
             placement = frame, velocities
             return self.cast.frame(
                 state.bodies,
-                _motion_of(state),
+                agent_motion(state),
                 heights,
                 placement,
                 is_visible,
@@ -266,7 +286,7 @@ class Crowd:
             ),
             np.zeros((len(ids), 3)),
             np.ones((len(ids), 3)),
-            self.mesh_of_population[kinds],
+            self.mesh_of_population[entry_indices],
             self.meshes,
             primvars,
         )
@@ -284,7 +304,7 @@ class Crowd:
 
     def diagnostics(self, state: CrowdState, t: float) -> Diagnostics:  # noqa: ARG002
         """Return the number, speed, progress and overlap of agents."""
-        has_left = state.progress.stages == GONE
+        has_left = state.progress.stages == DEPARTED_STAGE
         speeds = np.linalg.norm(state.velocities[~has_left], axis=1)
         values = {"agents": float(len(speeds)), "overlap": state.overlap}
         if len(speeds):
@@ -303,6 +323,6 @@ def _check_finite(t: float, *arrays: FloatArray) -> None:
         raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
 
 
-def _motion_of(state: CrowdState) -> AgentMotion:
+def agent_motion(state: CrowdState) -> AgentMotion:
     """Return positions, velocities and headings of a state."""
     return AgentMotion(state.points, state.velocities, state.headings)

@@ -30,7 +30,7 @@ from animtool.systems.crowds.gaits import (
     swing_progress,
 )
 from animtool.systems.crowds.ground import (
-    rotated_about_y,
+    rotate_about_y,
     rotations_about_y,
     wrap_angles,
 )
@@ -47,7 +47,7 @@ CYCLE_REPEATS = 3
 
 def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     """Return the gaits of a rig from takes, which are given with their names."""
-    walker = Walker.of(rig)
+    walker = Walker.from_rig(rig)
     gaits: dict[str, list[Gait]] = {"moves": [], "stands": [], "reacts": []}
     for name, take in takes:
         kind, gait = _build_gait(walker, name, take)
@@ -90,18 +90,18 @@ def _build_gait(walker: Walker, name: str, take: Take) -> tuple[str, Gait]:
     hips = middle_of_hips(walker.skeleton, world.positions)
     fps = float(take.clock.rate)
     distance = np.linalg.norm((hips[-1] - hips[0])[[0, 2]])
-    seconds = max(len(hips) - 1, 1) / fps
+    duration = max(len(hips) - 1, 1) / fps
     try:
         cycle_frames = find_cycle(take, shortest=MIN_PERIOD, longest=MAX_PERIOD)
     except OptionError:
         cycle_frames = None
     travel_range = float(np.ptp(hips[:, [0, 2]], axis=0).max())
-    if travel_range < MIN_TRAVEL_SPEED * walker.leg_length * min(seconds, 1.0):
+    if travel_range < MIN_TRAVEL_SPEED * walker.leg_length * min(duration, 1.0):
         return "stands", _clip_gait(walker, name, take, world)
     if (
         cycle_frames is None
         or cycle_frames.share > MAX_SEAM_FRACTION
-        or distance < MIN_TRAVEL_SPEED * walker.leg_length * seconds
+        or distance < MIN_TRAVEL_SPEED * walker.leg_length * duration
     ):
         return "reacts", _clip_gait(walker, name, take, world)
     cycle = loop(take, cycle_frames.first, cycle_frames.last, repeats=CYCLE_REPEATS)
@@ -135,7 +135,7 @@ class CyclePath:
         )
 
     @staticmethod
-    def of(hips: FloatArray, headings: FloatArray, length: int) -> CyclePath:
+    def fitted_to(hips: FloatArray, headings: FloatArray, length: int) -> CyclePath:
         """Return the path fitted to the second of three cycles ``(3 L, …)``."""
         frames = np.arange(length, 2 * length)
         yaw_rate = float(headings[2 * length] - headings[length]) / length
@@ -166,7 +166,7 @@ def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
     world = forward_kinematics(walker.rig, translations, rotations)
     length, fps = take.clock.count // CYCLE_REPEATS, float(take.clock.rate)
     hips = middle_of_hips(walker.skeleton, world.positions)
-    path = CyclePath.of(hips, _hip_headings(walker, world), length)
+    path = CyclePath.fitted_to(hips, _hip_headings(walker, world), length)
     if path.velocity[1] <= abs(path.velocity[0]):
         return None
     ground = _ground_height(walker, world)
@@ -251,11 +251,11 @@ def _build_step(
     landing_frame = np.array([float(stance.begin)])
     (start,) = path.positions(landing_frame)
     (start_heading,) = path.headings(landing_frame)
-    offset = rotated_about_y(foothold - start, -start_heading)
+    offset = rotate_about_y(foothold - start, -start_heading)
     step = np.append(offset, wrap_angles(yaw - start_heading))
     (end_point,) = path.positions(landing_frame + path.length)
     (end_heading,) = path.headings(landing_frame + path.length)
-    next_point = end_point + rotated_about_y(offset, end_heading)
+    next_point = end_point + rotate_about_y(offset, end_heading)
     next_foothold = np.append(next_point, yaw + end_heading - start_heading)
     fractions = np.linspace(0.0, 1.0, PHASE_COUNT)
     frames = stance.begin + fractions * (stance.end - stance.begin)

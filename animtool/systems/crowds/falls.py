@@ -18,7 +18,7 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.sim.colliders import Collider, Colliders, Mesh, Plane, Poses
 from animtool.systems.crowds.ground import GroundFrame, Terrain
-from animtool.systems.framework.simulation import growing
+from animtool.systems.framework.simulation import growing_field
 from animtool.systems.rigid.ragdoll import (
     Ragdoll,
     RagdollOptions,
@@ -46,15 +46,15 @@ GRAVITY = 9.81  # [m/s²]
 class Falls(Rows):
     """Agents that have fallen, in the order of their falls."""
 
-    agents: IntArray = field(metadata=growing())  # indices of the agents (K,)
+    agents: IntArray = field(metadata=growing_field())  # indices of the agents (K,)
     # World positions of joints when the fall began (K, J, 3) [m].
-    positions: FloatArray = field(metadata=growing())
+    positions: FloatArray = field(metadata=growing_field())
     # World rotations of joints when the fall began (K, J, 4).
-    turns: FloatArray = field(metadata=growing())
+    turns: FloatArray = field(metadata=growing_field())
     # States of the B bodies of each agent, as in `RigidState` (K, B, 14).
-    motion: FloatArray = field(metadata=growing())
+    motion: FloatArray = field(metadata=growing_field())
     # Time for which each agent has moved slowly (K,) [s].
-    slow: FloatArray = field(metadata=growing())
+    slow: FloatArray = field(metadata=growing_field())
 
 
 _LocalPose = tuple[FloatArray, FloatArray]
@@ -85,11 +85,13 @@ class FallSimulator:
         self._up = frame.vector_to_world(np.array([0.0, 1.0, 0.0]))
         shape: Plane | Mesh = Plane()
         if not ground.is_plane:
-            facing_up = ground.triangles
-            a, b, c = facing_up.swapaxes(0, 1)
-            faces_down = np.cross(b - a, c - a)[:, 1] < 0
-            is_flipped = faces_down[:, None, None]
-            corners = np.where(is_flipped, facing_up[:, ::-1], facing_up).reshape(-1, 3)
+            upward_triangles = ground.triangles
+            a, b, c = upward_triangles.swapaxes(0, 1)
+            is_facing_down = np.cross(b - a, c - a)[:, 1] < 0
+            is_flipped = is_facing_down[:, None, None]
+            corners = np.where(
+                is_flipped, upward_triangles[:, ::-1], upward_triangles
+            ).reshape(-1, 3)
             faces = np.arange(len(corners)).reshape(-1, 3)
             shape = Mesh(corners, faces, closed=True)
         poses = Poses.fixed(frame.origin, frame.rotation)
@@ -100,11 +102,13 @@ class FallSimulator:
         self._ragdolls: dict[tuple[int, bytes], tuple[Ragdoll, RigidSimulation]] = {}
         self._cached_poses: dict[int, tuple[tuple[bytes, ...], _LocalPose]] = {}
 
-    def no_falls(self) -> Falls:
+    def empty_falls(self) -> Falls:
         """Return a record without falls, for the rigs with most joints and bodies."""
         rigs = {id(rig): rig for rig in self._rigs}.values()
         joint_count = max(len(rig.joints) for rig in rigs)
-        body_count = max(len({one.joint for one in rig.colliders}) for rig in rigs)
+        body_count = max(
+            len({collider.joint for collider in rig.colliders}) for rig in rigs
+        )
         return Falls(
             np.zeros(0, np.int64),
             np.zeros((0, joint_count, 3)),
@@ -155,7 +159,7 @@ class FallSimulator:
             if slow[k] >= REST_TIME:
                 continue
             _, simulation = self._ragdoll(agent, falls.positions[k], falls.turns[k])
-            count = len(simulation.bodies.dynamic)
+            count = len(simulation.bodies.dynamic_indices)
             next_motion = _step_ragdoll(simulation, motion[k, :count], t, dt)
             speeds = np.linalg.norm(next_motion[:, 7:10], axis=1)
             motion[k, :count] = next_motion
@@ -171,10 +175,10 @@ class FallSimulator:
         agent = int(falls.agents[row])
         key = falls.positions[row].tobytes(), falls.motion[row].tobytes()
         if agent not in self._cached_poses or self._cached_poses[agent][0] != key:
-            self._cached_poses[agent] = key, self._pose(falls, row)
+            self._cached_poses[agent] = key, self._compute_pose(falls, row)
         return self._cached_poses[agent][1]
 
-    def _pose(self, falls: Falls, row: int) -> _LocalPose:
+    def _compute_pose(self, falls: Falls, row: int) -> _LocalPose:
         """Compute the local translations and rotations of a fallen agent."""
         agent = int(falls.agents[row])
         ragdoll, simulation = self._ragdoll(
@@ -235,9 +239,9 @@ def _step_ragdoll(
 ) -> FloatArray:
     """Return body states ``(B, 14)`` after a step [s]; fast bodies take substeps."""
     initial = simulation.initial()
-    for substeps in (1, FAST_SUBSTEPS):
-        states, substep = body_states, dt / substeps
-        for i in range(substeps):
+    for substep_count in (1, FAST_SUBSTEPS):
+        states, substep = body_states, dt / substep_count
+        for i in range(substep_count):
             state = replace(initial, motion=np.ascontiguousarray(states))
             states = simulation.step(state, t + i * substep, substep).motion
             if not np.linalg.norm(states[:, 7:10], axis=1).max() < MAX_FALL_SPEED:
@@ -252,11 +256,11 @@ def _step_ragdoll(
 
 def _local_rotations(rig: Rig, rotations: FloatArray) -> FloatArray:
     """Return local rotations ``(J, 4)`` from world rotations."""
-    local: FloatArray = rotations.copy()
+    local_rotations: FloatArray = rotations.copy()
     has_parent = rig.parents >= 0
     to_parents = so3.conjugate(rotations[rig.parents[has_parent]])
-    local[has_parent] = so3.multiply(to_parents, rotations[has_parent])
-    return local
+    local_rotations[has_parent] = so3.multiply(to_parents, rotations[has_parent])
+    return local_rotations
 
 
 def widen_limits(rig: Rig, rotations: FloatArray) -> Rig:
@@ -303,8 +307,8 @@ def _widen_joint_limits(joint: Joint, rotation: FloatArray) -> Joint:
     limits = joint.limits
     if joint.type is JointType.PIN and isinstance(limits, RangeLimit):
         angle = _pin_angle(joint, rotation)
-        widened = RangeLimit(min(limits.low, angle), max(limits.high, angle))
-        return replace(joint, limits=widened)
+        widened_limits = RangeLimit(min(limits.low, angle), max(limits.high, angle))
+        return replace(joint, limits=widened_limits)
     if joint.type is not JointType.BALL or not isinstance(limits, BallLimit):
         return joint
     swings, twists = swing_twist(rotation[None], limits.twist_axis)

@@ -13,9 +13,9 @@ from animtool.maths.rows import Rows
 from animtool.systems.crowds.agents import AgentMotion
 from animtool.systems.crowds.gaits import Gaits, swing_progress
 from animtool.systems.crowds.ground import (
-    Heights,
-    ground_at,
-    rotated_about_y,
+    GroundSampler,
+    rotate_about_y,
+    sample_ground,
     wrap_angles,
 )
 
@@ -70,9 +70,9 @@ class Footing:
 
     gaits: Gaits
     scales: FloatArray  # size of each body relative to its rig (N,)
-    ground: Heights
+    ground: GroundSampler
 
-    def landing(
+    def find_landings(
         self,
         foot_index: int,
         blend: Blend,
@@ -88,21 +88,21 @@ class Footing:
         factors = np.stack([self.scales, self.scales, 0 * self.scales + 1], 1)
         step = blend.steps[:, foot_index] * factors
         other_foot = footholds[:, 1 - foot_index, :2] - points
-        other_foot = rotated_about_y(other_foot, -headings)
+        other_foot = rotate_about_y(other_foot, -headings)
         width = blend.steps[:, 0, 0] - blend.steps[:, 1, 0]
         min_width = MIN_STEP_WIDTH * width * self.scales
         is_too_close = side * (step[:, 0] - other_foot[:, 0]) < min_width
         # Another foot that is out of reach is no obstacle.
         is_too_close &= np.abs(other_foot[:, 0]) < 2 * min_width
         x = np.where(is_too_close, other_foot[:, 0] + side * min_width, step[:, 0])
-        offsets = rotated_about_y(np.stack([x, step[:, 1]], axis=1), headings)
+        offsets = rotate_about_y(np.stack([x, step[:, 1]], axis=1), headings)
         return np.column_stack([points + offsets, headings + step[:, 2]])
 
     def standing_targets(self, motion: AgentMotion, blend: Blend) -> FloatArray:
         """Return the foot targets of standing bodies ``(N, 2, 3)``."""
         factors = np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)
         steps = blend.steps * factors[:, None]
-        offsets = rotated_about_y(steps[..., :2], motion.headings[:, None])
+        offsets = rotate_about_y(steps[..., :2], motion.headings[:, None])
         yaws = motion.headings[:, None, None] + steps[..., 2:]
         return np.concatenate([motion.points[:, None] + offsets, yaws], axis=2)
 
@@ -127,7 +127,7 @@ class Footing:
         feet = np.zeros((len(state.phases), 2, 4))
         normals = np.zeros((len(state.phases), 2, 3))
         foothold_distances = np.zeros((len(state.phases), 2))
-        ground_heights, _ = ground_at(self.ground, motion.points)
+        ground_heights, _ = sample_ground(self.ground, motion.points)
         footholds = state.places.copy()
         for k in range(2):
             is_swinging = state.swings[:, k] >= 0
@@ -138,9 +138,9 @@ class Footing:
             lengths = np.linalg.norm(stride[:, :2], axis=1)[:, None]
             distances = (lengths * np.hstack([fraction, 1 - fraction])).min(axis=1)
             foothold_distances[:, k] = np.where(is_swinging, distances, 0.0)
-            start_height, start_normal = ground_at(self.ground, start[:, :2])
-            target_height, target_normal = ground_at(self.ground, target[:, :2])
-            ground_height, _ = ground_at(self.ground, footholds[:, k, :2])
+            start_height, start_normal = sample_ground(self.ground, start[:, :2])
+            target_height, target_normal = sample_ground(self.ground, target[:, :2])
+            ground_height, _ = sample_ground(self.ground, footholds[:, k, :2])
             height = start_height + fraction[:, 0] * (target_height - start_height)
             height = np.maximum(height, ground_height)
             height = np.where(is_swinging, height, start_height)
@@ -152,10 +152,10 @@ class Footing:
         foothold_distances += detours / self.scales[:, None]
         to_body = -motion.headings[:, None]
         offsets = footholds[..., :2] - motion.points[:, None]
-        offsets = rotated_about_y(offsets, to_body)
+        offsets = rotate_about_y(offsets, to_body)
         feet[..., [0, 2]] = offsets / self.scales[:, None, None]
         feet[..., 3] = wrap_angles(footholds[..., 2] - motion.headings[:, None])
-        normals[..., [0, 2]] = rotated_about_y(normals[..., [0, 2]], to_body)
+        normals[..., [0, 2]] = rotate_about_y(normals[..., [0, 2]], to_body)
         return feet, normals, foothold_distances
 
     def _avoid_planted_feet(
@@ -166,20 +166,20 @@ class Footing:
         Returns the lengths of the detours ``(N, 2)`` [m].
         """
         detours = np.zeros((len(footholds), 2))
-        local = rotated_about_y(footholds[..., :2], -motion.headings[:, None])
+        local_footholds = rotate_about_y(footholds[..., :2], -motion.headings[:, None])
         leg = self.gaits.walker.leg_length
         gap = PASSING_GAP * leg * self.scales
         passing_range = PASSING_RANGE * leg * self.scales
         for k in range(2):
             side = 1 - 2 * k
-            offset = local[:, k] - local[:, 1 - k]
+            offset = local_footholds[:, k] - local_footholds[:, 1 - k]
             fraction = np.maximum(state.swings[:, k], 0.0)
             proximity = np.clip(1 - np.abs(offset[:, 1]) / passing_range, 0.0, 1.0)
             # The detour of crossed feet is limited: faster legs would jerk.
             shift = np.clip(gap - side * offset[:, 0], 0.0, gap) * proximity
             displacement = np.zeros_like(offset)
             displacement[:, 0] = side * shift * 16 * (fraction * (1 - fraction)) ** 2
-            footholds[:, k, :2] += rotated_about_y(displacement, motion.headings)
+            footholds[:, k, :2] += rotate_about_y(displacement, motion.headings)
             detours[:, k] = np.abs(displacement[:, 0])
         return detours
 

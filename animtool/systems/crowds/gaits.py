@@ -18,7 +18,7 @@ from animtool.systems.crowds.ground import rotations_about_y
 
 # Number of phases at which a cycle is sampled.
 PHASE_COUNT = 64
-SIDES = "lr"
+SIDE_LETTERS = "lr"
 UP = np.array([0.0, 1.0, 0.0])
 
 
@@ -39,11 +39,11 @@ class Walker:
 
     @property
     def rig(self) -> Rig:
-        """The rig."""
+        """The rig of the biped, without the roles of its joints."""
         return self.skeleton.rig
 
     @staticmethod
-    def of(rig: Rig) -> Walker:
+    def from_rig(rig: Rig) -> Walker:
         """Return the legs of a biped at rest; raise SIM149 if it lacks two legs."""
         skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
         left, right, facing = skeleton.leg("l"), skeleton.leg("r"), skeleton.facing_axes
@@ -164,15 +164,15 @@ def weighted_sum(values: Sequence[FloatArray], weights: FloatArray) -> FloatArra
 
 
 def sample_rows(
-    table: FloatArray, frames: FloatArray, *, cyclic: bool = False
+    table: FloatArray, frames: FloatArray, *, is_cyclic: bool = False
 ) -> FloatArray:
     """Return rows of a table ``(P, …)`` interpolated at fractional indices.
 
-    With ``cyclic``, the first row follows the last.
+    With ``is_cyclic``, the first row follows the last.
     """
     count = len(table)
     lower = np.clip(frames.astype(np.int64), 0, count - 1)
-    upper = (lower + 1) % count if cyclic else np.minimum(lower + 1, count - 1)
+    upper = (lower + 1) % count if is_cyclic else np.minimum(lower + 1, count - 1)
     fraction = (frames - lower).reshape(-1, *[1] * (table.ndim - 1))
     lower_values, upper_values = table[lower], table[upper]
     if table.shape[-1] == 4:

@@ -25,14 +25,16 @@ def rotations_about_y(angles: FloatArray) -> FloatArray:
     return rotations
 
 
-def rotated_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
+def rotate_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
     """Return x and z ``(…, 2)`` rotated about y by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
 
 
-def ground_at(ground: Heights, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+def sample_ground(
+    ground: GroundSampler, points: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Return heights and normals of the ground; beyond its edge, heights are 0."""
     heights, normals = ground(points)
     return np.where(np.isfinite(heights), heights, 0.0), normals
@@ -43,7 +45,7 @@ def wrap_angles(angles: FloatArray) -> FloatArray:
     return np.asarray((angles + np.pi) % (2 * np.pi) - np.pi)
 
 
-class Heights(Protocol):
+class GroundSampler(Protocol):
     """Interface of the ground as a height field."""
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -173,23 +175,23 @@ class Terrain:
         )
         order = np.argsort(cells, kind="stable")
         cell_indices = np.arange(cells_per_axis * cells_per_axis + 1)
-        starts = np.searchsorted(cells[order], cell_indices)
-        return low, cell_size, counts, faces[order], starts
+        start_indices = np.searchsorted(cells[order], cell_indices)
+        return low, cell_size, counts, faces[order], start_indices
 
     def _candidate_pairs(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return pairs of points and triangles that may overlap seen from above."""
-        low, size, counts, faces, starts = self._grid
+        low, size, counts, faces, start_indices = self._grid
         grid_points = (points - low) / size
         is_inside = np.all(grid_points >= -EDGE_TOLERANCE, axis=1)
         is_inside &= np.all(grid_points <= counts + EDGE_TOLERANCE, axis=1)
         cells = np.where(is_inside[:, None], grid_points, 0).astype(np.int64)
         cells = np.clip(cells, 0, counts - 1)
         cell_indices = cells[:, 0] * counts[1] + cells[:, 1]
-        face_counts = starts[cell_indices + 1] - starts[cell_indices]
+        face_counts = start_indices[cell_indices + 1] - start_indices[cell_indices]
         pair_counts = np.where(is_inside, face_counts, 0)
         point_indices = np.repeat(np.arange(len(points)), pair_counts)
         k = np.arange(len(point_indices)) - _group_starts(pair_counts)
-        return point_indices, faces[starts[cell_indices[point_indices]] + k]
+        return point_indices, faces[start_indices[cell_indices[point_indices]] + k]
 
 
 def _group_starts(counts: IntArray) -> IntArray:
@@ -197,7 +199,7 @@ def _group_starts(counts: IntArray) -> IntArray:
     return np.repeat(np.cumsum(counts) - counts, counts)
 
 
-def walkable(
+def find_walkable_nodes(
     ground: Terrain,
     nodes: FloatArray,
     shape: tuple[int, int],

@@ -16,13 +16,18 @@ from animtool.maths import so3
 from animtool.sim.colliders import Collider, Colliders, Plane
 from animtool.sim.colliders.shapes import shape_bounds
 from animtool.systems.crowds.agents import Agents
-from animtool.systems.crowds.ground import GroundFrame, Terrain, ground_at, walkable
+from animtool.systems.crowds.ground import (
+    GroundFrame,
+    Terrain,
+    find_walkable_nodes,
+    sample_ground,
+)
 from animtool.systems.crowds.routes import MAX_NODES, NavGrid
 from animtool.systems.crowds.spec import CrowdsModel, DoorModel
 
 # For N agents the gaps to an obstacle ``(N,)`` [m], directions from it ``(N, 2)``, and
 # closing speeds ``(N,)`` [m/s].
-Gaps: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
+AgentGaps: TypeAlias = tuple[FloatArray, FloatArray, FloatArray]
 
 # Smallest horizontal component of the normal of a wall; surfaces with less are floors
 # or ceilings.
@@ -43,7 +48,7 @@ class Walls:
     first_walls: npt.NDArray[np.int32]  # index of each agent's first wall (N + 1,)
     # For each wall its unit normal (x, z), the minimum velocity along it [m/s], and the
     # minimum position along it [m] (M, 4).
-    rows: FloatArray
+    half_planes: FloatArray
     agents_of_walls: IntArray  # agent of each wall (M,)
     gaps: FloatArray  # distance between the surfaces of wall and agent (M,) [m]
     closing_speeds: FloatArray  # speed of the wall towards the agent (M,) [m/s]
@@ -91,12 +96,12 @@ class Obstacles:
         starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
         return Walls(starts, wall_rows, agents_of_walls, gaps, closing_speeds)
 
-    def _collider_gaps(self, t: float, dt: float, x: FloatArray) -> list[Gaps]:
+    def _collider_gaps(self, t: float, dt: float, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of all colliders."""
-        if not self.colliders.rigid:
+        if not self.colliders.rigid_colliders:
             return []
         radii, body_heights = self.agents.radii, self.agents.heights
-        base_heights, _ = ground_at(self.ground, x)
+        base_heights, _ = sample_ground(self.ground, x)
         return [
             (distances - radii, directions, speeds)
             for distances, directions, speeds in capsule_distances(
@@ -112,7 +117,7 @@ class Obstacles:
         """
         radius = float(self.agents.radii.max(initial=0.0))
         height = float(self.agents.heights.max(initial=radius))
-        base = float(ground_at(self.ground, position)[0][0])
+        base = float(sample_ground(self.ground, position)[0][0])
         low, high = base + radius, base + max(height - radius, radius)
         x, z = position[0]
         points = np.array([[x, y, z] for y in (low, (low + high) / 2, high)])
@@ -125,11 +130,11 @@ class Obstacles:
 
     def world_text(self, x: FloatArray) -> str:
         """Return the position of x and z on the ground ``(2,)`` as text."""
-        height = float(ground_at(self.ground, x[None])[0][0])
+        height = float(sample_ground(self.ground, x[None])[0][0])
         point = self.frame.to_world(np.array([[x[0], height, x[1]]]))[0]
         return f"{vector_text(point)} m"
 
-    def _door_gaps(self, t: float, x: FloatArray) -> list[Gaps]:
+    def _door_gaps(self, t: float, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of closed doors."""
         doors = []
         for door, (a, b) in zip(self.doors, self.door_ends, strict=True):
@@ -144,11 +149,11 @@ class Obstacles:
             doors.append((distances - self.agents.radii, directions, np.zeros(len(x))))
         return doors
 
-    def _edge_gaps(self, x: FloatArray) -> list[Gaps]:
+    def _edge_gaps(self, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of the edge of the ground."""
         if self.edge_grid is None:
             return []
-        gaps, directions = self.edge_grid.edges(x)
+        gaps, directions = self.edge_grid.obstacle_distances(x)
         return [(gaps - self.agents.radii, directions, np.zeros(len(x)))]
 
 
@@ -161,7 +166,7 @@ def capsule_distances(
     body_heights: FloatArray,
     t: float,
     dt: float,
-) -> list[Gaps]:
+) -> list[AgentGaps]:
     """Return horizontal distances of colliders from upright capsules.
 
     For each collider it returns distances ``(K,)`` from the axes [m], infinite for
@@ -212,7 +217,7 @@ def navigation_grids(
     if ground.is_plane and not static_obstacles:
         return None, None
     radius = float(agents.radii.max(initial=0.0)) or 1.0
-    corners = np.concatenate([agents.starts, goals])
+    corners = np.concatenate([agents.start_points, goals])
     low = high = np.zeros(2)
     if len(corners):
         low, high = corners.min(axis=0), corners.max(axis=0)
@@ -232,16 +237,18 @@ def navigation_grids(
     cell = max(cell_size, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
     rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
     shape = rows, columns
-    nodes = NavGrid.nodes(low, cell, shape)
+    nodes = NavGrid.all_positions(low, cell, shape)
     max_slope = np.radians(spec.ground.slope)
-    ground_heights, has_ground = walkable(ground, nodes, shape, cell, max_slope)
+    ground_heights, has_ground = find_walkable_nodes(
+        ground, nodes, shape, cell, max_slope
+    )
     is_free = has_ground.ravel().copy()
     if static_obstacles:
         static_colliders, heights = Colliders(static_obstacles), ground_heights.ravel()
-        candidates = np.flatnonzero(is_free)
+        free_nodes = np.flatnonzero(is_free)
         height = float(agents.heights.max(initial=radius))
-        for first in range(0, len(candidates), SAMPLE_BLOCK):
-            block = candidates[first : first + SAMPLE_BLOCK]
+        for first in range(0, len(free_nodes), SAMPLE_BLOCK):
+            block = free_nodes[first : first + SAMPLE_BLOCK]
             ones, is_clear = np.ones(len(block)), np.ones(len(block), bool)
             for distances, _, _ in capsule_distances(
                 static_colliders, frame, nodes[block], heights[block],
@@ -251,8 +258,8 @@ def navigation_grids(
                 is_clear &= distances >= radius - cell / 2
             is_free[block] = is_clear
     is_endless = ground.is_plane and has_ground.all()
-    edge = None if is_endless else NavGrid(low, cell, has_ground)
-    return NavGrid(low, cell, is_free.reshape(shape)), edge
+    edge_grid = None if is_endless else NavGrid(low, cell, has_ground)
+    return NavGrid(low, cell, is_free.reshape(shape)), edge_grid
 
 
 def _obstacle_bounds(

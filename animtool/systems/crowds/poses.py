@@ -14,7 +14,7 @@ from animtool.systems.crowds.bodies import AgentBodies
 from animtool.systems.crowds.footing import Blend, BodyState
 from animtool.systems.crowds.gaits import (
     PHASE_COUNT,
-    SIDES,
+    SIDE_LETTERS,
     UP,
     Gait,
     Gaits,
@@ -58,7 +58,7 @@ def body_poses(bodies: AgentBodies, state: BodyState, motion: AgentMotion) -> Bo
     blend = bodies.blend(state.paces)
     gait_rotations, roots = _gait_rotations(bodies, state, blend)
     rotations = np.repeat(rig.rest_rotations[None], len(gait_rotations), axis=0)
-    rotations[:, bodies.animated] = gait_rotations
+    rotations[:, bodies.animated_joints] = gait_rotations
     bodies.trunk.rotate_shoulders(rig.parents, rotations, state.shoulders)
     feet, normals, foothold_distances = bodies.foot_poses(state, motion)
     goals, soles = _ankle_targets(
@@ -95,14 +95,14 @@ def _solve_leg_ik(
         for joint in (thigh, shin, int(rig.parents[thigh]))
         if joint >= 0
     }
-    lowering = _hip_lowering(walker, joints, goals, state)
-    joints = joints - lowering[:, None, None] * UP
+    hip_lowerings = _hip_lowering(walker, joints, goals, state)
+    joints = joints - hip_lowerings[:, None, None] * UP
     goals = _move_into_reach(walker, joints, goals, state.swings >= 0)
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         hip_parent = int(rig.parents[thigh])
         upper_leg, lower_leg = ankle_rotations(
             walker.skeleton,
-            SIDES[k],
+            SIDE_LETTERS[k],
             joints[:, [thigh, shin, foot]],
             goals[:, k],
             (world_rotations[thigh], world_rotations[shin]),
@@ -119,7 +119,7 @@ def _solve_leg_ik(
             (foot, lower_leg, sole),
         ):
             rotations[:, joint] = so3.multiply(so3.conjugate(parent), joint_rotation)
-    return lowering
+    return hip_lowerings
 
 
 def _hip_lowering(
@@ -129,7 +129,7 @@ def _hip_lowering(
 
     In the middle of a swing hips need not be lowered.
     """
-    lowering = state.lowered.copy()
+    hip_lowerings = state.lowered.copy()
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         leg_joints = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(leg_joints, axis=1), axis=2).sum(axis=1)
@@ -143,8 +143,8 @@ def _hip_lowering(
         swing_lowering = np.minimum(swing_lowering, max_lowering)
         is_planted = state.swings[:, k] < 0
         foot_lowering = np.where(is_planted, required_lowering, swing_lowering)
-        lowering = np.maximum(lowering, foot_lowering)
-    return np.minimum(lowering, MAX_LOWERING * walker.leg_length)
+        hip_lowerings = np.maximum(hip_lowerings, foot_lowering)
+    return np.minimum(hip_lowerings, MAX_LOWERING * walker.leg_length)
 
 
 def _move_into_reach(
@@ -184,7 +184,9 @@ def _ankle_targets(
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
         begin = (state.phases - 0.5 * k) % 1.0
-        foot_rotations = rotations_about_x(bodies.pitches(k, begin, blend, state.still))
+        foot_rotations = rotations_about_x(
+            bodies.heel_pitches(k, begin, blend, state.still)
+        )
         ankle_offsets = standing_ankle(gaits.walker, k, foot_rotations)
         is_swinging = state.swings[:, k] >= 0
         if is_swinging.any():
@@ -289,10 +291,12 @@ def _gait_swing(
     swing_time = state.spans[is_swinging, k] / state.rates[is_swinging]
     swing_fraction = 1 - blend.stance_fractions[is_swinging, k]
     typical_time = swing_fraction / blend.free_rate[is_swinging]
-    shortening = 1 - np.minimum(swing_time / typical_time, 1.0)
+    shortening_factor = 1 - np.minimum(swing_time / typical_time, 1.0)
     landing_progress = (swings - LANDING_PHASE) / (1 - LANDING_PHASE)
     landing_progress = swing_progress(np.clip(landing_progress, 0.0, 1.0))
-    flat_weight = np.maximum(standing_weight, shortening * (1 - landing_progress))
+    flat_weight = np.maximum(
+        standing_weight, shortening_factor * (1 - landing_progress)
+    )
     flat_weight = flat_weight[:, None]
     flat_rotations = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
     rotations = _mix_rotations(swing_rotations, flat_rotations, flat_weight)
@@ -309,9 +313,11 @@ def _gait_rotations(
     """Return rotations of animated joints ``(N, M, 4)``, and hip positions."""
     gaits, frames = bodies.gaits, state.phases * PHASE_COUNT
     tables, idle_table = bodies.animated_rotations
-    gait_rotations = [sample_rows(table, frames, cyclic=True) for table in tables]
+    gait_rotations = [sample_rows(table, frames, is_cyclic=True) for table in tables]
     walk_rotations = _blend_rotations(gait_rotations, blend.weights)
-    gait_hips = [sample_rows(gait.hips, frames, cyclic=True) for gait in gaits.cycles]
+    gait_hips = [
+        sample_rows(gait.hips, frames, is_cyclic=True) for gait in gaits.cycles
+    ]
     hips = weighted_sum(gait_hips, blend.weights)
     frames = idle_frames(gaits.idle, state.clocks)
     idle_weight = state.still[:, None]
@@ -320,11 +326,16 @@ def _gait_rotations(
     hips = hips + idle_weight * (sample_rows(gaits.idle.hips, frames) - hips)
     if gaits.reactions and (state.reacts >= 0).any():
         reaction = gaits.reactions[0]
-        elapsed = np.maximum(state.reacts, 0.0)
-        fraction = np.minimum(elapsed, reaction.period - elapsed) / REACTION_BLEND_TIME
+        elapsed_times = np.maximum(state.reacts, 0.0)
+        fraction = (
+            np.minimum(elapsed_times, reaction.period - elapsed_times)
+            / REACTION_BLEND_TIME
+        )
         weight = swing_progress(np.clip(fraction, 0.0, 1.0)) * (state.reacts >= 0)
-        frames = elapsed / reaction.period * (len(reaction.rotations) - 1)
-        reaction_rotations = sample_rows(reaction.rotations[:, bodies.animated], frames)
+        frames = elapsed_times / reaction.period * (len(reaction.rotations) - 1)
+        reaction_rotations = sample_rows(
+            reaction.rotations[:, bodies.animated_joints], frames
+        )
         rotations = _mix_rotations(rotations, reaction_rotations, weight[:, None])
         # Height of the hips; their ground position is the agent's.
         height_change = sample_rows(reaction.hips, frames)[:, 1] - hips[:, 1]
@@ -342,10 +353,12 @@ def idle_frames(idle: Gait, clocks: FloatArray) -> FloatArray:
 
 
 def _mix_rotations(
-    first: FloatArray, second: FloatArray, weight: FloatArray
+    first_rotations: FloatArray, second_rotations: FloatArray, weight: FloatArray
 ) -> FloatArray:
     """Return rotations blended by the weight of the second ones ``(N, 1)``."""
-    return _blend_rotations([first, second], np.hstack([1 - weight, weight]))
+    return _blend_rotations(
+        [first_rotations, second_rotations], np.hstack([1 - weight, weight])
+    )
 
 
 def _blend_rotations(rotations: list[FloatArray], weights: FloatArray) -> FloatArray:

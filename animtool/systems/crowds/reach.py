@@ -47,7 +47,7 @@ class LegReach:
     standing_thighs: FloatArray  # mean thigh joints of the idle clip (2, 3) [m]
 
     @staticmethod
-    def of(gaits: Gaits) -> LegReach:
+    def from_gaits(gaits: Gaits) -> LegReach:
         """Return the leg reach of the rig of the given gaits."""
         tables = tuple(_gait_thighs(gaits, gait) for gait in gaits.cycles)
         return LegReach(gaits, tables, _gait_thighs(gaits, gaits.idle).mean(axis=0))
@@ -57,7 +57,9 @@ class LegReach:
     ) -> FloatArray:
         """Return the thigh positions of bodies above level ground ``(N, 2, 3)``."""
         frames = phases * PHASE_COUNT
-        tables = [sample_rows(table, frames, cyclic=True) for table in self.gait_thighs]
+        tables = [
+            sample_rows(table, frames, is_cyclic=True) for table in self.gait_thighs
+        ]
         thighs = weighted_sum(tables, weights)
         offsets = standing_weights[:, None, None] * (self.standing_thighs - thighs)
         return np.asarray(thighs + offsets)
@@ -85,8 +87,8 @@ class LegReach:
         leg = self.gaits.walker.leg_length
         to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
         max_height = reach_across(leg, (to_ankle[:, [0, 2]] ** 2).sum(axis=1))
-        lowering = np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
-        return np.asarray(lowering)
+        lowerings = np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
+        return np.asarray(lowerings)
 
     def _ankle_vectors(
         self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray

@@ -30,7 +30,9 @@ class NavGrid:
     is_free: BoolArray  # mask of walkable nodes (R, C), rows along x
 
     @staticmethod
-    def nodes(low: FloatArray, cell: float, shape: tuple[int, int]) -> FloatArray:
+    def all_positions(
+        low: FloatArray, cell: float, shape: tuple[int, int]
+    ) -> FloatArray:
         """Return x and z of all nodes of a grid ``(R·C, 2)`` [m]."""
         rows, columns = np.indices(shape).reshape(2, -1)
         return np.asarray(low + cell * np.stack([rows, columns], axis=1))
@@ -68,7 +70,7 @@ class NavGrid:
         distances = np.minimum(points - self.low, self.high - points)
         return np.asarray(distances.min(axis=1), np.float64)
 
-    def border_facing(self, point: FloatArray) -> IntArray:
+    def border_nodes_facing(self, point: FloatArray) -> IntArray:
         """Return the border nodes on the sides that face a point outside the grid."""
         indices = np.arange(self.is_free.size).reshape(self.is_free.shape)
         border = [np.zeros(0, np.int64)]
@@ -111,7 +113,7 @@ class NavGrid:
         weights = axis_weights[:, :, None, 0] * axis_weights[:, None, :, 1]
         return corner_indices[:, :, None, 0], corner_indices[:, None, :, 1], weights
 
-    def edges(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def obstacle_distances(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return distances of x and z ``(K, 2)`` from obstacles, and directions away.
 
         Distances ``(K,)`` [m] are to half a cell before blocked nodes, where obstacles
@@ -141,10 +143,10 @@ class FlowField:
     def gradient(self) -> FloatArray:
         """Unit vectors along the shortest path from each node ``(R, C, 2)``."""
         distances = self.distances
-        padded = np.pad(distances, 1, constant_values=np.inf)
+        padded_distances = np.pad(distances, 1, constant_values=np.inf)
         neighbours = (
-            (padded[:-2, 1:-1], padded[2:, 1:-1]),
-            (padded[1:-1, :-2], padded[1:-1, 2:]),
+            (padded_distances[:-2, 1:-1], padded_distances[2:, 1:-1]),
+            (padded_distances[1:-1, :-2], padded_distances[1:-1, 2:]),
         )
         descent = np.zeros((*distances.shape, 2))
         for axis, (before, after) in enumerate(neighbours):
@@ -156,7 +158,7 @@ class FlowField:
         size = np.linalg.norm(descent, axis=2)[..., None]
         return descent / np.where(size > 0, size, 1.0)
 
-    def directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
+    def path_directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the path from x and z ``(K, 2)``.
 
         They point straight at ``targets`` if the goal is near and visible. Agents on
@@ -219,13 +221,13 @@ def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
     """
     node = int(grid.nearest_free_node(goal[None])[0])
     goal_component = int(grid.components.ravel()[node])
-    nodes = np.flatnonzero(grid.is_free.ravel())
-    components = grid.components.ravel()[nodes]
-    goal_distances = np.linalg.norm(grid.node_positions(nodes) - goal, axis=1)
+    free_nodes = np.flatnonzero(grid.is_free.ravel())
+    components = grid.components.ravel()[free_nodes]
+    goal_distances = np.linalg.norm(grid.node_positions(free_nodes) - goal, axis=1)
     order = np.lexsort([goal_distances, components])
     nearest_to_goal = order[np.flatnonzero(np.diff(components[order], prepend=0))]
     row, column = grid.nearest_nodes(goal[None])[0]
-    nearest_positions = grid.node_positions(nodes[nearest_to_goal])
+    nearest_positions = grid.node_positions(free_nodes[nearest_to_goal])
     goals = np.concatenate([np.zeros((1, 2)), nearest_positions])
     goal_seeds: Sequence[int] | IntArray = []
     if grid.is_free[row, column]:
@@ -233,11 +235,11 @@ def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
         # Seeded around the goal, so that paths end there and not at a node; outside the
         # grid nothing blocks the facing sides.
         is_near = goal_distances < 1.5 * grid.cell
-        nearby_nodes = nodes[is_near & (components == goal_component)]
-        border = grid.border_facing(goal)
+        nearby_nodes = free_nodes[is_near & (components == goal_component)]
+        border = grid.border_nodes_facing(goal)
         border = border[grid.components.ravel()[border] == goal_component]
         goal_seeds = np.union1d(nearby_nodes, border)
-    seeds = np.concatenate([nodes[nearest_to_goal], goal_seeds]).astype(np.int64)
+    seeds = np.concatenate([free_nodes[nearest_to_goal], goal_seeds]).astype(np.int64)
     offsets = grid.node_positions(seeds) - goals[grid.components.ravel()[seeds]]
     lengths = np.linalg.norm(offsets, axis=1)
     distances = _kernels.travel_distances(grid.is_free, grid.cell, seeds, lengths)

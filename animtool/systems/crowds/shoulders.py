@@ -60,10 +60,12 @@ class Trunk:
     neck: tuple[int, ...]  # neck and head joints
 
     @staticmethod
-    def of(skeleton: RoledSkeleton) -> Trunk:
+    def from_skeleton(skeleton: RoledSkeleton) -> Trunk:
         """Return the trunk of a skeleton; without a spine nothing rotates."""
         joints_by_role = {
-            role: tuple(j for j, actual in enumerate(skeleton.roles) if actual == role)
+            role: tuple(
+                j for j, joint_role in enumerate(skeleton.roles) if joint_role == role
+            )
             for role in ("spine", "neck", "head")
         }
         neck = joints_by_role["neck"] + joints_by_role["head"]
@@ -81,21 +83,24 @@ class Trunk:
 
         ``rotations`` ``(N, J, 4)`` are local; the head keeps facing forward.
         """
-        indices = np.flatnonzero(angles)
-        if not len(indices) or not self.spine:
+        rotated_agents = np.flatnonzero(angles)
+        if not len(rotated_agents) or not self.spine:
             return
-        agent_rotations, agent_angles = rotations[indices], angles[indices]
+        agent_rotations, agent_angles = (
+            rotations[rotated_agents],
+            angles[rotated_agents],
+        )
         joint_fractions = [(j, 1 / len(self.spine)) for j in self.spine]
         joint_fractions += [(j, -1 / len(self.neck)) for j in self.neck]
         for joint, fraction in joint_fractions:
-            parent_rotation = np.broadcast_to(so3.IDENTITY, (len(indices), 4))
+            parent_rotation = np.broadcast_to(so3.IDENTITY, (len(rotated_agents), 4))
             for j in _ancestors(parents, joint):
                 parent_rotation = so3.multiply(parent_rotation, agent_rotations[:, j])
             yaw = rotations_about_y(fraction * agent_angles)
             to_parent = so3.conjugate(parent_rotation)
             yaw = so3.multiply(to_parent, so3.multiply(yaw, parent_rotation))
             agent_rotations[:, joint] = so3.multiply(yaw, agent_rotations[:, joint])
-        rotations[indices] = agent_rotations
+        rotations[rotated_agents] = agent_rotations
 
 
 def _ancestors(parents: IntArray, joint: int) -> list[int]:

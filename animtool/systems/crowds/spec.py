@@ -229,5 +229,5 @@ class CrowdsModel(SystemSpec):
 
     @property
     def counts(self) -> dict[str, int]:
-        """Number of entries by kind."""
+        """Numbers of populations and goals, for reports."""
         return {"populations": len(self.populations), "goals": len(self.goals)}

@@ -26,14 +26,16 @@ PACKING_FRACTION = 0.5
 # Fraction of a goal's radius that staying agents enter.
 INNER_RADIUS = 0.5
 NO_TICKET = -1
-GONE = -1
+DEPARTED_STAGE = -1
 
 
 @dataclass(frozen=True, slots=True)
 class Progress:
     """Progress of N agents on their routes."""
 
-    stages: IntArray  # number of passed goals; `GONE` for agents that left (N,)
+    stages: (
+        IntArray  # number of passed goals; `DEPARTED_STAGE` for agents that left (N,)
+    )
     waited: FloatArray  # time waited at the current goal (N,) [s]
     tickets: IntArray  # order in the queue at the current goal, or `NO_TICKET` (N,)
 
@@ -65,9 +67,16 @@ class Steering:
         table = np.full((len(populations), counts.max(initial=0) + 1), -1)
         for i, population in enumerate(populations):
             table[i, : counts[i]] = [names.index(name) for name in population.route]
-        kinds = self.agents.kinds
-        actions = np.array([population.then for population in populations])[kinds]
-        return table[kinds], counts[kinds], actions == "repeat", actions == "leave"
+        entry_indices = self.agents.entry_indices
+        actions = np.array([population.then for population in populations])[
+            entry_indices
+        ]
+        return (
+            table[entry_indices],
+            counts[entry_indices],
+            actions == "repeat",
+            actions == "leave",
+        )
 
     def initial(self) -> Progress:
         """Return the initial progress."""
@@ -82,7 +91,7 @@ class Steering:
         loop_stages = stages % np.maximum(counts, 1)
         route_index = np.where(is_repeating, loop_stages, np.minimum(stages, counts))
         goal_indices = table[np.arange(len(stages)), np.maximum(route_index, 0)]
-        return np.where(stages == GONE, -1, goal_indices)
+        return np.where(stages == DEPARTED_STAGE, -1, goal_indices)
 
     def targets(
         self, progress: Progress, goal_indices: IntArray, x: FloatArray
@@ -106,10 +115,14 @@ class Steering:
             positions = np.where(is_reachable, offset_positions, positions)
         is_queued = progress.tickets != NO_TICKET
         for g in np.unique(goal_indices[is_queued]).tolist():
-            queue = np.flatnonzero(is_queued & (goal_indices == g))
-            queue = queue[np.argsort(progress.tickets[queue], kind="stable")]
-            queue_offsets = np.arange(len(queue))[:, None] * self.queue_spacings[g]
-            positions[queue] = self.goal_points[g] + queue_offsets
+            queued_agents = np.flatnonzero(is_queued & (goal_indices == g))
+            queued_agents = queued_agents[
+                np.argsort(progress.tickets[queued_agents], kind="stable")
+            ]
+            queue_offsets = (
+                np.arange(len(queued_agents))[:, None] * self.queue_spacings[g]
+            )
+            positions[queued_agents] = self.goal_points[g] + queue_offsets
         return positions, is_queued
 
     def _reachable_goals(self, goal_indices: IntArray, x: FloatArray) -> FloatArray:
@@ -134,7 +147,7 @@ class Steering:
         for g, route in enumerate(self.flow_fields):
             is_assigned = (goal_indices == g) & ~is_queued
             if is_assigned.any():
-                directions[is_assigned] = route.directions(
+                directions[is_assigned] = route.path_directions(
                     x[is_assigned], target[is_assigned]
                 )
         speeds = np.minimum(agents.speeds, distances / STOPPING_TIME)
@@ -147,18 +160,20 @@ class Steering:
             inner_distances = np.maximum(distances - INNER_RADIUS * radius, 0.0)
             inward_speeds = inner_distances / STOPPING_TIME
             speeds = np.where(is_waiting, np.minimum(speeds, inward_speeds), speeds)
-        preferred = directions * speeds[:, None]
-        return self._keep_formation(preferred, is_queued | is_waiting, x)
+        velocities = directions * speeds[:, None]
+        return self._keep_formation(velocities, is_queued | is_waiting, x)
 
     def _keep_formation(
-        self, preferred: FloatArray, is_excluded: BoolArray, x: FloatArray
+        self, preferred_velocities: FloatArray, is_excluded: BoolArray, x: FloatArray
     ) -> FloatArray:
         """Return velocities that keep the members of groups side by side."""
         groups = self.agents.groups
-        members = np.flatnonzero((groups >= 0) & ~is_excluded & preferred.any(axis=1))
-        if not len(members):
-            return preferred
-        group_of_member = groups[members]
+        member_indices = np.flatnonzero(
+            (groups >= 0) & ~is_excluded & preferred_velocities.any(axis=1)
+        )
+        if not len(member_indices):
+            return preferred_velocities
+        group_of_member = groups[member_indices]
         count = np.bincount(group_of_member)[group_of_member][:, None]
 
         def group_mean(values: FloatArray) -> FloatArray:
@@ -168,19 +183,21 @@ class Steering:
             ]
             return np.asarray(np.stack(sums, axis=1) / count)
 
-        forward = group_mean(preferred[members])
+        forward = group_mean(preferred_velocities[member_indices])
         size = np.linalg.norm(forward, axis=1)[:, None]
         forward = forward / np.where(size > 0, size, 1.0)
         left_directions = np.stack([forward[:, 1], -forward[:, 0]], axis=1)
-        lateral_offsets = self.agents.lateral_offsets[members, None]
-        group_positions = group_mean(x[members]) + left_directions * lateral_offsets
-        correction = (group_positions - x[members]) / STOPPING_TIME
+        lateral_offsets = self.agents.lateral_offsets[member_indices, None]
+        group_positions = (
+            group_mean(x[member_indices]) + left_directions * lateral_offsets
+        )
+        correction = (group_positions - x[member_indices]) / STOPPING_TIME
         lengths = np.linalg.norm(correction, axis=1)[:, None]
-        max_correction = CATCH_UP_SPEED * self.agents.speeds[members, None]
+        max_correction = CATCH_UP_SPEED * self.agents.speeds[member_indices, None]
         max_factors = max_correction / np.where(lengths > 0, lengths, 1.0)
         correction = correction * np.minimum(1.0, max_factors)
-        result = preferred.copy()
-        result[members] = preferred[members] + correction
+        result = preferred_velocities.copy()
+        result[member_indices] = preferred_velocities[member_indices] + correction
         return result
 
     def advance(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
@@ -211,7 +228,9 @@ class Steering:
         # Agents that stay at their last goal never pass it.
         has_passed = has_arrived & (waited >= wait_times) & ~(is_last & ~has_queue)
         stages = progress.stages + has_passed
-        stages = np.where(has_passed & is_leaving & (stages >= counts), GONE, stages)
+        stages = np.where(
+            has_passed & is_leaving & (stages >= counts), DEPARTED_STAGE, stages
+        )
         return Progress(
             stages,
             np.where(has_passed, 0.0, waited),
@@ -246,11 +265,11 @@ class Steering:
             distances = np.linalg.norm(x - queue_end, axis=1)
             is_joining = is_queuing & ~is_waiting
             is_joining &= distances < JOINING_DISTANCE * spacing
-            joining_agents = np.flatnonzero(is_joining)
-            if len(joining_agents):
+            joining_indices = np.flatnonzero(is_joining)
+            if len(joining_indices):
                 result = result.copy()
                 # The nearest comes first; equal ones in order.
-                order = np.argsort(distances[joining_agents], kind="stable")
-                order = joining_agents[order]
+                order = np.argsort(distances[joining_indices], kind="stable")
+                order = joining_indices[order]
                 result[order] = result.max() + 1 + np.arange(len(order))
         return result

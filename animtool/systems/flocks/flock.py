@@ -22,8 +22,13 @@ from animtool.sim.modes import allowed_step
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, key_problems
-from animtool.systems.flocks.rules import FlockRule, build_rules, rule_accelerations
-from animtool.systems.flocks.spacing import START_PASSES, Spacing
+from animtool.systems.flocks.rules import (
+    START_PASSES,
+    FlockRule,
+    Spacing,
+    build_rules,
+    rule_accelerations,
+)
 from animtool.systems.flocks.spec import DomainModel, FlocksModel
 from animtool.systems.flocks.steering import (
     avoidance_accelerations,
@@ -34,7 +39,7 @@ from animtool.systems.flocks.steering import (
 )
 from animtool.systems.framework.interacting import integrate_step
 from animtool.systems.framework.simulation import Diagnostics, SimContext
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 from animtool.systems.particles.forces.base import Force
 
 GRAVITY = 9.81  # [m/s²]
@@ -58,8 +63,12 @@ def initial_headings(members: Members, v: FloatArray) -> MemberHeadings:
     count = len(v)
     identity = np.broadcast_to(so3.IDENTITY, (count, 4))
     phases = [
-        uniforms(species.seed, np.arange(rows.stop - rows.start), 1)[:, 0]
-        for species, rows in zip(members.entries, members.rows_by_entry, strict=True)
+        uniform_samples(
+            species.seed, np.arange(member_range.stop - member_range.start), 1
+        )[:, 0]
+        for species, member_range in zip(
+            members.entries, members.ranges_by_entry, strict=True
+        )
     ]
     return MemberHeadings(
         _look_rotations(identity, v, _UP), np.zeros((count, 3)), np.concatenate(phases)
@@ -78,8 +87,10 @@ def advance_headings(
     Members bank like aircraft: their up vector follows the lift. It is perpendicular to
     the velocity, and balances gravity and the centripetal acceleration.
     """
-    banking = members.per_individual([entry.banking for entry in members.entries])
-    accelerations = banking[:, None] * (end_velocities - start_velocities) / dt
+    banking_factors = members.repeat_per_individual(
+        [entry.banking for entry in members.entries]
+    )
+    accelerations = banking_factors[:, None] * (end_velocities - start_velocities) / dt
     lift = accelerations + GRAVITY * _UP
     up = so3.rotate(headings.rotations, _UP)
     # Only the component perpendicular to the velocity is lift.
@@ -94,7 +105,7 @@ def advance_headings(
     rotations = so3.align_signs(look_rotations[None], headings.rotations)[0]
     step_rotation = so3.multiply(rotations, so3.conjugate(headings.rotations))
     spins = so3.log(step_rotation) / dt
-    cycles_per_metre = members.per_individual(
+    cycles_per_metre = members.repeat_per_individual(
         [entry.beat / entry.speed.cruise for entry in members.entries]
     )
     speeds = (np.linalg.norm(start_velocities, axis=1) + end_speeds) / 2
@@ -131,7 +142,7 @@ def mesh_indices(
     ``mesh_ranges`` has the first mesh and the number of meshes of each species
     ``(S, 2)``.
     """
-    first_meshes, counts = mesh_ranges[members.kinds].T
+    first_meshes, counts = mesh_ranges[members.entry_indices].T
     frame_indices = np.floor((phases % 1.0) * counts).astype(np.int64)
     return np.asarray(first_meshes + frame_indices % counts)
 
@@ -167,13 +178,15 @@ class FlockForces(SecondOrder):
         members = self.members
         accelerations = rule_accelerations(self.rules, self.domain, x, v)
         accelerations += goal_accelerations(members, t, x, v)
-        if self.colliders.rigid:
+        if self.colliders.rigid_colliders:
             accelerations += avoidance_accelerations(members, self.colliders, t, x, v)
         accelerations = limit_steering(members, v, accelerations)
         if self.forces:
             particles = members.particles
-            external = sum(force.force(t, x, v, particles) for force in self.forces)
-            accelerations = accelerations + external / particles.masses[:, None]
+            external_forces = sum(
+                force.force(t, x, v, particles) for force in self.forces
+            )
+            accelerations = accelerations + external_forces / particles.masses[:, None]
         return accelerations
 
     def settle(
@@ -224,8 +237,8 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         )
         colliders = Colliders([*colliders, walls], colliders.sheets, colliders.bodies)
     species_data = context.parts["species"]
-    members = Members.of(spec, species_data, context.begin)
-    spacing = Spacing.of(members, spec.domain)
+    members = Members.from_spec(spec, species_data, context.begin)
+    spacing = Spacing.for_members(members, spec.domain)
     points, notices = members.clear_positions(colliders, spec.domain)
     if spacing is not None:
         points, overlap = spacing.separate(points, START_PASSES)
@@ -296,7 +309,7 @@ class Flock:
     mesh_ranges: IntArray  # first mesh and number of meshes of each species (S, 2)
 
     def initial(self) -> FlockState:
-        """Return the initial state."""
+        """Return the members at the start, with headings if they are meshes."""
         motion = self.system.motion
         if not self.meshes:
             return FlockState(motion, None)
@@ -319,7 +332,7 @@ class Flock:
         points, velocities = state.motion
         ids = np.arange(len(members))
         has_many_species = len(members.entries) > 1
-        primvars = {"species": members.kinds} if has_many_species else {}
+        primvars = {"species": members.entry_indices} if has_many_species else {}
         if heading is None:
             return PointsFrame(ids, points, velocities, members.radii, primvars)
         return TransformsFrame(

@@ -31,7 +31,7 @@ from animtool.systems.particles.state import ParticleState
 # Most passes that move members out of colliders at the start.
 MAX_CLEARING_PASSES = 20
 # Clearance from a surface, relative to the radius [1].
-CLEARANCE = 1e-6
+SURFACE_CLEARANCE = 1e-6
 # Smallest reported displacement, relative to the radius [1].
 MIN_REPORTED_MOVE = 4e-3
 
@@ -47,7 +47,7 @@ class Members(Groups):
     velocities: FloatArray  # (N, 3) [m/s]
 
     @staticmethod
-    def of(
+    def from_spec(
         spec: FlocksModel, species_data: Sequence[Mapping[str, Any]], begin: float
     ) -> Members:
         """Return the members of a spec; raise SIM060 for coincident positions."""
@@ -67,9 +67,11 @@ class Members(Groups):
     @cached_property
     def particles(self) -> ParticleState:
         """Members as particles, for force fields."""
-        masses = self.per_individual([entry.mass for entry in self.entries])
+        masses = self.repeat_per_individual([entry.mass for entry in self.entries])
         ids = np.arange(len(self))
-        return ParticleState.lasting(ids, masses, self.radii, self.begin, self.points)
+        return ParticleState.everlasting(
+            ids, masses, self.radii, self.begin, self.points
+        )
 
     def check_distinct(self) -> None:
         """Raise SIM060 if two members are at the same position."""
@@ -91,21 +93,21 @@ class Members(Groups):
         moved with a warning (SIM124).
         """
         points, is_moved = self.points, np.zeros(len(self), bool)
-        for _ in range(MAX_CLEARING_PASSES if colliders.rigid else 0):
-            volumes = colliders.volumes.sample(points, self.begin)
-            depths = self.radii - volumes.distances
-            deepest = np.argmax(depths, axis=0)
+        for _ in range(MAX_CLEARING_PASSES if colliders.rigid_colliders else 0):
+            samples = colliders.as_solids.sample(points, self.begin)
+            depths = self.radii - samples.distances
+            deepest_indices = np.argmax(depths, axis=0)
             members = np.arange(len(self))
-            max_depths = depths[deepest, members]
+            max_depths = depths[deepest_indices, members]
             is_inside = max_depths > 0
             if not is_inside.any():
                 break
             is_moved |= is_inside
-            normals = volumes.normals[deepest, members]
-            distances = (max_depths + CLEARANCE * self.radii) * is_inside
+            normals = samples.normals[deepest_indices, members]
+            distances = (max_depths + SURFACE_CLEARANCE * self.radii) * is_inside
             points = points + normals * distances[:, None]
         else:
-            if colliders.rigid:
+            if colliders.rigid_colliders:
                 name = self.label(int(np.argmax(is_inside)))
                 message = f"{name} starts inside colliders, with no way out"
                 hint = "start elsewhere, or leave room between them"
@@ -145,7 +147,8 @@ class Members(Groups):
         message += f"start from {lowest[axis]:.3g} to {highest[axis]:.3g} m"
         size, centre = np.array(domain.size), np.array(domain.at)
         sides = np.maximum(size, 2 * np.maximum(highest - centre, centre - lowest))
-        hint = f"a size of {vector_text(_round_up(sides))} m holds all"
+        side_text = vector_text(_round_up_to_two_digits(sides))
+        hint = f"a size of {side_text} m holds all"
         if (highest - lowest <= size).all():
             # Along the other axes it stays where it is.
             is_beyond = (lowest < low) | (highest > high)
@@ -163,7 +166,7 @@ class Members(Groups):
         points_data = [data.get("points") for data in self.species_data]
         has_points = np.array([array is not None for array in points_data])
         is_moved = displacements > MIN_REPORTED_MOVE * self.radii
-        is_moved &= has_points[self.kinds]
+        is_moved &= has_points[self.entry_indices]
         faults = []
         if is_moved.any():
             message = f"{counted(int(is_moved.sum()), 'member')} would start closer "
@@ -186,10 +189,10 @@ def _bounds(domain: DomainModel) -> tuple[FloatArray, FloatArray]:
     return centre - size / 2, centre + size / 2
 
 
-def _round_up(lengths: FloatArray) -> FloatArray:
+def _round_up_to_two_digits(lengths: FloatArray) -> FloatArray:
     """Return lengths rounded up to two digits."""
-    steps = 10.0 ** (np.floor(np.log10(lengths)) - 1)
-    return np.asarray(np.ceil(lengths / steps - 1e-9) * steps)
+    digit_sizes = 10.0 ** (np.floor(np.log10(lengths)) - 1)
+    return np.asarray(np.ceil(lengths / digit_sizes - 1e-9) * digit_sizes)
 
 
 def _start_motion(
@@ -230,13 +233,13 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
     names = [species.name for species in spec.species]
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
-        where = f"species[{k}]"
+        location = f"species[{k}]"
         relations = [*species.flees, *species.chases]
         for name in [*species.joins, *(relation.species for relation in relations)]:
             if name not in names:
                 hint = f"the species are {', '.join(names)}"
-                yield f"unknown species {excerpt(name)}", where, hint
-        yield from _speed_problems(species, where)
+                yield f"unknown species {excerpt(name)}", location, hint
+        yield from _speed_problems(species, location)
     has_mesh = [species.shows is not None for species in spec.species]
     if any(has_mesh) and not all(has_mesh):
         name = names[has_mesh.index(False)]
@@ -246,27 +249,24 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
         yield from _domain_problems(spec, spec.domain)
 
 
-def _speed_problems(species: SpeciesModel, where: str) -> Iterator[Problem]:
+def _speed_problems(species: SpeciesModel, location: str) -> Iterator[Problem]:
     """Yield a problem if the bounds of a species' speed exclude its cruise."""
     speed = species.speed
+    cruise = f"speed.cruise, {speed.cruise:g}"
+    if "cruise" not in speed.model_fields_set:
+        cruise += ", the default"
     if speed.most is not None and speed.least > speed.most:
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         message += f"speed.most, {speed.most:g}"
-        yield message, f"{where}.speed.least", "lower least, or raise most"
+        yield message, f"{location}.speed.least", "lower least, or raise most"
     elif speed.least > speed.cruise:
-        cruise = f"speed.cruise, {speed.cruise:g}"
-        if "cruise" not in speed.model_fields_set:
-            cruise += ", the default"
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         hint = "lower least, or raise cruise"
-        yield f"{message}{cruise}", f"{where}.speed.least", hint
+        yield f"{message}{cruise}", f"{location}.speed.least", hint
     elif speed.most is not None and speed.most < speed.cruise:
-        cruise = f"speed.cruise, {speed.cruise:g}"
-        if "cruise" not in speed.model_fields_set:
-            cruise += ", the default"
         message = f"speed.most of {species.name!r} is {speed.most:g} m/s, below "
         hint = "raise most, or lower cruise"
-        yield f"{message}{cruise}", f"{where}.speed.most", hint
+        yield f"{message}{cruise}", f"{location}.speed.most", hint
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:

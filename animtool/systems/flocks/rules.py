@@ -1,4 +1,4 @@
-"""Rules between members in sight: one kernel call each."""
+"""Rules between members in sight, and their minimum distances: kernel calls."""
 
 from __future__ import annotations
 
@@ -16,20 +16,30 @@ from animtool.core.record import dataclass
 from animtool.systems.flocks.members import Members
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 
-Indices: TypeAlias = npt.NDArray[np.int32]
+IndexArray: TypeAlias = npt.NDArray[np.int32]
 # Largest number of neighbour pairs per member on average, and in total. Beyond both,
 # thousands of members see each other and a step takes minutes.
 MAX_PAIRS_PER_MEMBER, MAX_PAIRS = 20_000, 2_000_000_000
+# Distance at which members brake for others, in minimum distances [1].
+BRAKING_RANGE = 2.0
+# Smallest gap in the braking deceleration, relative to the minimum distance [1].
+MIN_BRAKING_GAP = 0.1
+# Separation passes in a step and at the start, and the fraction of the overlap that a
+# pass removes.
+STEP_PASSES, START_PASSES, OVERLAP_REDUCTION = 24, 400, 0.6
+# Additional clearance, relative to the minimum distance [1].
+SEPARATION_CLEARANCE = 1e-4
+REMEDY_HINT = "use a larger start region, or a smaller distance"
 
 
 @dataclass(frozen=True, slots=True)
 class FlockRule:
     """A rule of one species towards other members, as kernel arguments."""
 
-    members: Indices | None  # members that follow the rule (M,); None for all
-    others: Indices | None  # members that the rule reacts to; None for all
+    members: IndexArray | None  # members that follow the rule (M,); None for all
+    targets: IndexArray | None  # members that the rule reacts to; None for all
     radius: float  # range of sight [m]
-    cosine: float = -1.0  # cosine of half the angle of view
+    view_cosine: float = -1.0  # cosine of half the angle of view
     nearest: int = 0  # number of nearest neighbours; 0 for all
     attraction: tuple[float, float] = (0.0, 0.0)  # weight [1/s²] and range [m]
     alignment: tuple[float, float] = (0.0, 0.0)  # weight [1/s] and range [m]
@@ -61,7 +71,7 @@ def build_rules(members: Members) -> list[FlockRule]:
 
 
 def _build_flocking_rule(
-    species: SpeciesModel, subjects: Indices | None, mates: Indices | None
+    species: SpeciesModel, subjects: IndexArray | None, mates: IndexArray | None
 ) -> FlockRule:
     """Return the rule of a species towards members of this and of joined species."""
     vision, repulsion = species.vision, species.repulsion
@@ -86,17 +96,17 @@ def _has_effect(rule: FlockRule) -> bool:
     """Return whether a rule has any members and a nonzero weight."""
     weights = (rule.attraction[0], rule.alignment[0], rule.repulsion[0])
     counts = [
-        len(indices) for indices in (rule.members, rule.others) if indices is not None
+        len(indices) for indices in (rule.members, rule.targets) if indices is not None
     ]
     return any(weights) and 0 not in counts
 
 
-def _member_indices(members: Members, species: Sequence[int]) -> Indices | None:
+def _member_indices(members: Members, species: Sequence[int]) -> IndexArray | None:
     """Return the member indices of the given species ``(M,)``; None for all species."""
     if len(species) == len(members.entries):
         return None
     index_ranges = [
-        np.arange(len(members))[members.rows_by_entry[number]] for number in species
+        np.arange(len(members))[members.ranges_by_entry[number]] for number in species
     ]
     return np.concatenate(index_ranges).astype(np.int32)
 
@@ -115,10 +125,12 @@ def max_pairs(count: int) -> float:
     return float(max(MAX_PAIRS_PER_MEMBER * count, MAX_PAIRS))
 
 
-def check_pair_count(count: int, pairs: float, limit: float, hint: str) -> None:
-    """Raise SIM107 if too many of N members are neighbours."""
-    if pairs > limit:
-        message = f"{count} members are so close that each has thousands of neighbours"
+def check_pair_count(member_count: int, pair_count: float, hint: str) -> None:
+    """Raise SIM107 if more than `max_pairs` of N members are neighbours."""
+    if pair_count > max_pairs(member_count):
+        message = (
+            f"{member_count} members are so close that each has thousands of neighbours"
+        )
         raise ToleranceError(Fault("SIM107", message, hint=hint))
 
 
@@ -133,14 +145,67 @@ def rule_accelerations(
     accelerations_sum = np.zeros_like(x)
     for rule in rules:
         count = len(x) if rule.members is None else len(rule.members)
-        limit = max_pairs(count)
-        accelerations, _, pairs = _kernels.flock_accelerations(
-            x, v, rule.members, rule.others, rule.radius, rule.cosine, rule.nearest,
-            np.array(rule.attraction), np.array(rule.alignment),
-            np.array(rule.repulsion), rule.softening, period, limit,
+        accelerations, _, pair_count = _kernels.flock_accelerations(
+            x, v, rule.members, rule.targets, rule.radius, rule.view_cosine,
+            rule.nearest, np.array(rule.attraction), np.array(rule.alignment),
+            np.array(rule.repulsion), rule.softening, period, max_pairs(count),
         )  # fmt: skip
         hint = "reduce their range of sight, or strengthen the repulsion"
-        check_pair_count(count, pairs, limit, hint)
-        rows = slice(None) if rule.members is None else rule.members
-        accelerations_sum[rows] += accelerations
+        check_pair_count(count, pair_count, hint)
+        member_indices = slice(None) if rule.members is None else rule.members
+        accelerations_sum[member_indices] += accelerations
     return accelerations_sum
+
+
+def min_distance(species: SpeciesModel) -> float:
+    """Return the minimum distance of members of a species [m]; 0 for none.
+
+    The default is twice the radius; members without a specified radius or mesh are
+    points.
+    """
+    repulsion = species.repulsion
+    if repulsion.least is not None:
+        return repulsion.least
+    has_size = "radius" in species.model_fields_set or species.shows is not None
+    return 2 * species.radius if has_size and repulsion.weight else 0.0
+
+
+@dataclass(frozen=True)
+class Spacing:
+    """Minimum distances of N members; that of a pair is the mean of both."""
+
+    distances: FloatArray  # minimum distances (N,) [m]; 0 for none
+    period: FloatArray  # origin and length of each axis (2, 3) [m], 0 if not periodic
+
+    @staticmethod
+    def for_members(members: Members, domain: DomainModel | None) -> Spacing | None:
+        """Return the spacing of members; None without minimum distances."""
+        distances = members.repeat_per_individual(
+            [min_distance(entry) for entry in members.entries]
+        )
+        has_distances = len(distances) > 1 and distances.max() > 0
+        return Spacing(distances, periodic_box(domain)) if has_distances else None
+
+    def braking_accelerations(self, x: FloatArray, v: FloatArray) -> FloatArray:
+        """Return the decelerations for members ahead ``(N, 3)`` [m/s²].
+
+        Each of two approaching members contributes half of the deceleration: the
+        squared closing speed over twice the remaining gap, weighted by proximity.
+        """
+        accelerations, pair_count = _kernels.flock_braking(
+            x, v, self.distances, BRAKING_RANGE, MIN_BRAKING_GAP,
+            self.period, max_pairs(len(x)),
+        )  # fmt: skip
+        check_pair_count(len(x), pair_count, REMEDY_HINT)
+        return np.asarray(accelerations)
+
+    def separate(
+        self, x: FloatArray, pass_count: int = STEP_PASSES
+    ) -> tuple[FloatArray, float]:
+        """Return separated positions ``(N, 3)`` [m], and the remaining overlap [m]."""
+        separated_points, overlap, pair_count = _kernels.flock_separate(
+            x, self.distances, pass_count, OVERLAP_REDUCTION, SEPARATION_CLEARANCE,
+            self.period, max_pairs(len(x)),
+        )  # fmt: skip
+        check_pair_count(len(x), pair_count, REMEDY_HINT)
+        return separated_points, overlap

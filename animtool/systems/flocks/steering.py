@@ -11,7 +11,7 @@ from animtool.systems.flocks.spec import PathModel
 
 # Members in a block, so that their distances fit into the cache.
 BLOCK_SIZE = 4096
-ROUNDING = 1e-9  # relative rounding error of a displacement [1]
+RELATIVE_ROUNDING = 1e-9  # relative rounding error of a displacement [1]
 _TINY_LENGTH = 1e-12  # lengths and speeds below have no direction [m], [m/s]
 
 
@@ -21,7 +21,7 @@ def goal_accelerations(
     """Return accelerations towards goals, paths and cruise speeds ``(N, 3)`` [m/s²]."""
     accelerations = np.zeros_like(x)
     for species, data, species_rows in zip(
-        members.entries, members.species_data, members.rows_by_entry, strict=True
+        members.entries, members.species_data, members.ranges_by_entry, strict=True
     ):
         positions, speed = x[species_rows], species.speed
         if speed.weight:
@@ -62,11 +62,11 @@ def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
     fractions = ((x[:, None] - points[:-1]) * segments).sum(axis=2)
     fractions = np.clip(fractions / np.maximum(lengths**2, _TINY_LENGTH), 0.0, 1.0)
     offsets = points[:-1] + fractions[..., None] * segments - x[:, None]
-    nearest_segments = np.argmin((offsets * offsets).sum(axis=2), axis=1)
+    segment_indices = np.argmin((offsets * offsets).sum(axis=2), axis=1)
     arc_lengths = np.concatenate([[0.0], np.cumsum(lengths)])
-    nearest_fractions = fractions[np.arange(len(x)), nearest_segments]
-    nearest_lengths = nearest_fractions * lengths[nearest_segments]
-    target_lengths = arc_lengths[nearest_segments] + nearest_lengths + path.ahead
+    nearest_fractions = fractions[np.arange(len(x)), segment_indices]
+    nearest_lengths = nearest_fractions * lengths[segment_indices]
+    target_lengths = arc_lengths[segment_indices] + nearest_lengths + path.ahead
     if path.closed:
         target_lengths = target_lengths % arc_lengths[-1]
     else:
@@ -89,10 +89,10 @@ def avoidance_accelerations(
     relative speed over twice the distance.
     """
     accelerations = np.zeros_like(x)
-    ranges = members.per_individual(
+    ranges = members.repeat_per_individual(
         [entry.avoidance.distance for entry in members.entries]
     )
-    weights = members.per_individual(
+    weights = members.repeat_per_individual(
         [entry.avoidance.weight for entry in members.entries]
     )
     samples = colliders.sample(x, t, t + VELOCITY_INTERVAL)
@@ -107,43 +107,49 @@ def avoidance_accelerations(
         relative_velocities = (v - collider_velocities)[is_near]
         normal_speeds = (relative_velocities * normals[is_near]).sum(axis=1)
         braking_distance = 2 * np.maximum(gaps[is_near], members.radii[is_near])
-        braking = np.minimum(normal_speeds, 0.0) ** 2 / braking_distance
+        braking_accelerations = np.minimum(normal_speeds, 0.0) ** 2 / braking_distance
         proximity = proximity[is_near]
-        magnitudes = proximity * (weights[is_near] * proximity + braking)
+        magnitudes = proximity * (weights[is_near] * proximity + braking_accelerations)
         accelerations[is_near] += magnitudes[:, None] * normals[is_near]
     return accelerations
 
 
 def limit_steering(
-    members: Members, v: FloatArray, requested: FloatArray
+    members: Members, v: FloatArray, accelerations: FloatArray
 ) -> FloatArray:
     """Return accelerations within the limits of each species ``(N, 3)`` [m/s²]."""
-    limited = requested
-    for species, rows in zip(members.entries, members.rows_by_entry, strict=True):
+    limited_accelerations = accelerations
+    for species, rows in zip(members.entries, members.ranges_by_entry, strict=True):
         if species.turning is not None:
             max_rate = float(np.radians(species.turning))
-            limited = _limit_turning(limited, v, rows, max_rate)
+            limited_accelerations = _limit_turning(
+                limited_accelerations, v, rows, max_rate
+            )
         if species.acceleration is not None:
-            limited = limited.copy()
-            limited[rows] = clamp_lengths(limited[rows], species.acceleration)
-    return limited
+            limited_accelerations = limited_accelerations.copy()
+            limited_accelerations[rows] = clamp_lengths(
+                limited_accelerations[rows], species.acceleration
+            )
+    return limited_accelerations
 
 
 def _limit_turning(
-    requested: FloatArray, v: FloatArray, rows: slice, max_rate: float
+    accelerations: FloatArray, v: FloatArray, member_range: slice, max_rate: float
 ) -> FloatArray:
     """Return accelerations whose turn rate is at most ``max_rate`` [rad/s]."""
-    speeds = np.linalg.norm(v[rows], axis=1)[:, None]
-    directions = v[rows] / np.maximum(speeds, _TINY_LENGTH)
-    parallel = (requested[rows] * directions).sum(axis=1)[:, None] * directions
-    requested = requested.copy()
-    perpendicular = requested[rows] - parallel
+    speeds = np.linalg.norm(v[member_range], axis=1)[:, None]
+    directions = v[member_range] / np.maximum(speeds, _TINY_LENGTH)
+    parallel = (accelerations[member_range] * directions).sum(axis=1)[
+        :, None
+    ] * directions
+    accelerations = accelerations.copy()
+    perpendicular = accelerations[member_range] - parallel
     lengths = np.linalg.norm(perpendicular, axis=1)[:, None]
     # Members at rest turn at once.
     fraction = np.minimum(max_rate * speeds / np.maximum(lengths, _TINY_LENGTH), 1.0)
     fraction = np.where(speeds > _TINY_LENGTH, fraction, 1.0)
-    requested[rows] = parallel + perpendicular * fraction
-    return requested
+    accelerations[member_range] = parallel + perpendicular * fraction
+    return accelerations
 
 
 def clamp_lengths(values: FloatArray, max_length: float) -> FloatArray:
@@ -157,10 +163,12 @@ def limit_displacements(
     members: Members, before: FloatArray, after: FloatArray, h: float
 ) -> FloatArray:
     """Return new positions ``(N, 3)`` [m], limited to the reach in a time ``h`` [s]."""
-    max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
+    max_speeds = members.repeat_per_individual(
+        [max_speed(entry) for entry in members.entries]
+    )
     offsets = after - before
     lengths, limits = np.linalg.norm(offsets, axis=1), max_speeds * abs(h)
-    is_beyond = lengths > limits * (1 + ROUNDING)
+    is_beyond = lengths > limits * (1 + RELATIVE_ROUNDING)
     if not is_beyond.any():
         return after
     fractions = limits / np.maximum(lengths, _TINY_LENGTH)
@@ -169,10 +177,12 @@ def limit_displacements(
 
 def clamp_speeds(members: Members, v: FloatArray) -> FloatArray:
     """Return velocities clamped to the speeds of each species ``(N, 3)`` [m/s]."""
-    min_speeds = members.per_individual(
+    min_speeds = members.repeat_per_individual(
         [entry.speed.least for entry in members.entries]
     )
-    max_speeds = members.per_individual([max_speed(entry) for entry in members.entries])
+    max_speeds = members.repeat_per_individual(
+        [max_speed(entry) for entry in members.entries]
+    )
     speeds = np.linalg.norm(v, axis=1)
     is_too_slow = (speeds < min_speeds) & (speeds > _TINY_LENGTH)
     is_outside = (speeds > max_speeds) | is_too_slow

@@ -24,7 +24,7 @@ MIN_SPACING = 0.25
 # Smallest distance of entering particles from others, in spacings.
 MIN_INFLOW_DISTANCE = 0.6
 # Relative rounding tolerance of radii, and of the time between layers [1].
-ROUNDING = 1e-6
+RELATIVE_ROUNDING = 1e-6
 # Radius of drops whose surface tension has an error of 10 %, in spacings.
 RESOLVED_RADIUS = 5.0
 # Radius of the drops of a jet relative to that of the jet (Rayleigh 1879).
@@ -62,12 +62,14 @@ def coarse_drop_warnings(
         if isinstance(data.get("shape"), Sphere | Capsule):
             min_size = float(np.diff(shape_bounds(data["shape"]), axis=0).min())
             radii.append((_fill_label(spec, i), min_size / 2))
-    nozzle_radii = [one.radius for one in spec.emitters if one.radius is not None]
+    nozzle_radii = [
+        emitter.radius for emitter in spec.emitters if emitter.radius is not None
+    ]
     for i, nozzle_radius in enumerate(nozzle_radii):
         radii.append((f"a drop of nozzle {i}", JET_DROP_RATIO * nozzle_radius))
     for name, radius in radii:
         radius_in_spacings = radius / spec.spacing
-        if radius_in_spacings >= RESOLVED_RADIUS * (1 - ROUNDING):
+        if radius_in_spacings >= RESOLVED_RADIUS * (1 - RELATIVE_ROUNDING):
             continue
         message = f"{name} has a radius of {radius:.3g} m, {radius_in_spacings:.2g} "
         message += "spacings: below "
@@ -91,9 +93,9 @@ def _fill_motion(
         _check_outside(state[0], colliders, t, name)
         return state
     points = _lattice_points(spec, data["shape"], data["poses"], t)
-    if colliders.rigid and len(points):
-        gaps = colliders.volumes.sample(points, t).distances
-        is_free = gaps.min(axis=0) >= (1 - ROUNDING) * spec.spacing / 2
+    if colliders.rigid_colliders and len(points):
+        gaps = colliders.as_solids.sample(points, t).distances
+        is_free = gaps.min(axis=0) >= (1 - RELATIVE_ROUNDING) * spec.spacing / 2
         if (gaps < 0).all(axis=1).any():
             _refuse_enclosed(name, gaps, colliders)
         points = points[is_free]
@@ -108,7 +110,7 @@ def _fill_motion(
 def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
     """Raise SIM064 for a fill inside a solid collider or outside a container."""
     c = int(np.argmax((gaps < 0).all(axis=1)))
-    collider, collider_name = colliders.rigid[c], colliders.label(c)
+    collider, collider_name = colliders.rigid_colliders[c], colliders.label(c)
     if collider.container:
         message = f"{name} is outside the container {collider_name}"
         refuse("SIM064", message, "fills", "move it inside")
@@ -145,14 +147,14 @@ def _check_outside(
     points: FloatArray, colliders: Colliders, t: float, name: str
 ) -> None:
     """Raise SIM064 if points start inside colliders, or outside a container."""
-    if not colliders.rigid or not len(points):
+    if not colliders.rigid_colliders or not len(points):
         return
-    gaps = colliders.volumes.sample(points, t).distances
+    gaps = colliders.as_solids.sample(points, t).distances
     is_inside = gaps < 0
     if not is_inside.any():
         return
     collider_index, particle = (int(k) for k in np.argwhere(is_inside)[0])
-    is_container = colliders.rigid[collider_index].container
+    is_container = colliders.rigid_colliders[collider_index].container
     relation = "outside the container" if is_container else "inside"
     depth = -gaps[collider_index, particle]
     message = f"particle {particle} of {name} starts {depth:g} m {relation} "
@@ -173,13 +175,15 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
     pairs = cKDTree(points).query_pairs(min_gap, output_type="ndarray")
     if not len(pairs):
         return
-    first, second = sorted(pairs[np.lexsort(pairs.T[::-1])[0]].tolist())
+    first_particle, second_particle = sorted(
+        pairs[np.lexsort(pairs.T[::-1])[0]].tolist()
+    )
     names = []
-    for i in (first, second):
+    for i in (first_particle, second_particle):
         k = int(np.searchsorted(ends, i, side="right"))
         begin = int(ends[k - 1]) if k else 0
         names.append(f"particle {i - begin} of {_fill_label(spec, k)}")
-    gap = float(np.linalg.norm(points[first] - points[second]))
+    gap = float(np.linalg.norm(points[first_particle] - points[second_particle]))
     message = f"{names[0]} and {names[1]} start {gap:g} m apart, but the spacing is "
     message += f"{spec.spacing:g} m"
     hint = "keep fills from overlapping, and remove duplicates"
@@ -207,7 +211,9 @@ def _lattice_points(spec: FluidModel, shape: Any, poses: Poses, t: float) -> Flo
         for n, a, b in zip(counts, low, high, strict=True)
     ]
     grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    is_inside = Colliders([Collider(shape).volume()]).sample(grid, 0.0).distances[0] < 0
+    is_inside = (
+        Colliders([Collider(shape).as_solid()]).sample(grid, 0.0).distances[0] < 0
+    )
     pose = poses.at(t)
     return so3.rotate(pose[3:], grid[is_inside]) + pose[:3]
 
@@ -228,9 +234,9 @@ class Nozzle:
         self, spec: FluidModel, emitter: FluidEmitterModel, poses: Poses, begin: float
     ) -> None:
         self._poses, self._speed = poses, emitter.speed
-        self._period = spec.spacing / emitter.speed  # time between layers [s]
+        self._layer_period = spec.spacing / emitter.speed  # time between layers [s]
         opens: Sequence[Sequence[float]] = emitter.opens or [(begin, math.inf)]
-        self._intervals = [(max(a, begin), b) for a, b in opens]
+        self._open_intervals = [(max(a, begin), b) for a, b in opens]
         self._layer_points = self._layer_positions(spec, emitter)
 
     def _layer_positions(
@@ -251,7 +257,7 @@ class Nozzle:
     def _layer_count(self, interval: Sequence[float], t: float) -> int:
         """Return the number of layers released in an interval before a time."""
         duration = min(t, interval[1]) - interval[0]
-        return max(math.ceil(duration / self._period - ROUNDING), 0)
+        return max(math.ceil(duration / self._layer_period - RELATIVE_ROUNDING), 0)
 
     def inflow(
         self, start: float, end: float, gravity: FloatArray, capacity: int
@@ -259,7 +265,7 @@ class Nozzle:
         """Return the fluid released between two times [s], under gravity ``(3,)``."""
         states, births = [np.zeros((2, 0, 3))], [np.zeros(0)]
         layer_size, skipped_count = len(self._layer_points), 0
-        for interval in self._intervals:
+        for interval in self._open_intervals:
             first_layer = self._layer_count(interval, start)
             last_layer = self._layer_count(interval, end)
             count = min(last_layer - first_layer, capacity // layer_size)
@@ -268,7 +274,7 @@ class Nozzle:
             if count <= 0:
                 continue
             layers = first_layer + np.arange(count)
-            times: FloatArray = interval[0] + np.float64(self._period) * layers
+            times: FloatArray = interval[0] + np.float64(self._layer_period) * layers
             states.append(self._released_layers(times, end, gravity))
             births.append(np.repeat(times, layer_size))
         state = np.concatenate(states, axis=1)
@@ -289,12 +295,12 @@ class Nozzle:
         origins = np.repeat(poses[:, :3], layer_size, axis=0)
         x = so3.rotate(rotations, layer_points) + origins
         v = so3.rotate(rotations, outflow) + emitter_velocity
-        elapsed = np.repeat(end - times, layer_size)[:, None]
-        end_points = x + elapsed * (v + elapsed / 2 * gravity)
-        return np.stack([end_points, v + elapsed * gravity])
+        elapsed_times = np.repeat(end - times, layer_size)[:, None]
+        end_points = x + elapsed_times * (v + elapsed_times / 2 * gravity)
+        return np.stack([end_points, v + elapsed_times * gravity])
 
 
-def is_clear(
+def find_clear_points(
     points: FloatArray,
     particles: FloatArray,
     colliders: Colliders,
@@ -312,7 +318,7 @@ def is_clear(
     if len(neighbours):
         gaps, _ = cKDTree(neighbours).query(points)
         is_free = gaps >= MIN_INFLOW_DISTANCE * spacing
-    if colliders.rigid:
-        gaps = colliders.volumes.sample(points, t).distances
+    if colliders.rigid_colliders:
+        gaps = colliders.as_solids.sample(points, t).distances
         is_free = is_free & (gaps >= 0).all(axis=0)
     return is_free

@@ -25,8 +25,8 @@ from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import (
     Nozzle,
     coarse_drop_warnings,
+    find_clear_points,
     initial_fluid,
-    is_clear,
 )
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
@@ -34,9 +34,9 @@ from animtool.systems.framework.colours import Colouring, Quantities
 from animtool.systems.framework.simulation import (
     Diagnostics,
     SimContext,
-    Stepped,
+    SteppedState,
     StoppedError,
-    growing,
+    growing_field,
 )
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
@@ -58,12 +58,12 @@ REMEDY_HINT = "use weaker forces, a larger spacing, or slower colliders"
 class FluidState:
     """State of N fluid particles at the end of a step."""
 
-    ids: IntArray = field(metadata=growing())  # particle ids, ascending (N,)
+    ids: IntArray = field(metadata=growing_field())  # particle ids, ascending (N,)
     # Positions [m], then velocities [m/s] (2, N, 3).
-    motion: FloatArray = field(metadata=growing(1))
-    births: FloatArray = field(metadata=growing())  # birth times (N,) [s]
+    motion: FloatArray = field(metadata=growing_field(1))
+    births: FloatArray = field(metadata=growing_field())  # birth times (N,) [s]
     # Mean pressures over a step (N,) [Pa].
-    pressures: FloatArray = field(metadata=growing())
+    pressures: FloatArray = field(metadata=growing_field())
     made: int = 0  # number of particles born so far
     held: int = 0  # number of particles not emitted so far, for lack of room
     sound: float = 0.0  # speed of sound [m/s]
@@ -75,14 +75,14 @@ class FluidState:
 
 def build(spec: FluidModel, context: SimContext) -> Fluid:
     """Build the fluid of a spec with its initial particles; raise SIM064 if invalid."""
-    data, colliders, begin = context.parts, context.colliders, context.begin
-    initial_motion = initial_fluid(spec, data.get("fills", ()), colliders, begin)
-    emitters = zip(spec.emitters, data.get("emitters", ()), strict=True)
+    entry_data, colliders, begin = context.parts, context.colliders, context.begin
+    initial_motion = initial_fluid(spec, entry_data.get("fills", ()), colliders, begin)
+    emitters = zip(spec.emitters, entry_data.get("emitters", ()), strict=True)
     nozzles = [
         Nozzle(spec, emitter, part["poses"], begin) for emitter, part in emitters
     ]
     notices = colliders.notices()
-    notices += coarse_drop_warnings(spec, data.get("fills", ()))
+    notices += coarse_drop_warnings(spec, entry_data.get("fills", ()))
     if spec.surface is not None:
         from animtool.systems.fluid.surface import check_surface
 
@@ -91,10 +91,10 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
         spec,
         begin,
         colliders,
-        data.get("forces", ()),
+        entry_data.get("forces", ()),
         initial_motion,
         nozzles,
-        [Colliders([drain.volume()]) for drain in data.get("drains", ())],
+        [Colliders([drain.as_solid()]) for drain in entry_data.get("drains", ())],
         notices,
     )
 
@@ -119,14 +119,16 @@ class Fluid:
         self._nozzles, self._drains, self._notices = nozzles, drains, notices
         self._mass = spec.density * spec.spacing**3
         self._substeps = Substeps(spec)
-        self._colouring = None if spec.colour is None else Colouring.of(spec.colour, {})
+        self._colouring = (
+            None if spec.colour is None else Colouring.from_model(spec.colour, {})
+        )
         # Without moving colliders the initial energy is an upper bound.
         is_static = not colliders.bodies and not colliders.sheets
         is_static &= all(collider.poses.is_fixed for collider in colliders)
         self._conserves_energy = is_static
 
     def initial(self) -> FluidState:
-        """Return the initial state."""
+        """Return the initial fluid, with its speed of sound and its energy bound."""
         count = self._initial_motion.shape[1]
         state = FluidState(
             np.arange(count, dtype=np.int64),
@@ -145,7 +147,7 @@ class Fluid:
         del t
         return "" if state.sound >= 0 else "the speed of sound is below 0"
 
-    def step(self, state: FluidState, t: float, dt: float) -> Stepped[FluidState]:
+    def step(self, state: FluidState, t: float, dt: float) -> SteppedState[FluidState]:
         """Return the state after a step [s], and impulses on bodies."""
         end, notices = t + dt, list[Fault]()
         accelerations = self._accelerations(state, t)
@@ -158,13 +160,13 @@ class Fluid:
             state, wrenches = self._solve_pressure(state, t, dt, accelerations, notices)
         state = self._remove_drained(state, end)
         state = self._add_inflow(state, t, end, accelerations, notices)
-        return Stepped(state, wrenches, notices)
+        return SteppedState(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
         """Return the fluid as particles, for force fields."""
         births, points = state.births, state.motion[0]
         radius = self._spec.spacing / 2
-        return ParticleState.lasting(state.ids, self._mass, radius, births, points)
+        return ParticleState.everlasting(state.ids, self._mass, radius, births, points)
 
     def _accelerations(self, state: FluidState, t: float) -> FloatArray:
         """Return accelerations of forces ``(N, 3)`` [m/s²]."""
@@ -201,23 +203,25 @@ class Fluid:
 
         Without a list of notices, this is a trial that does not suggest a shorter step.
         """
-        speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.fastest
+        speeds = np.linalg.norm(state.motion[1], axis=1) + self._colliders.max_speed
         max_acceleration = float(np.linalg.norm(accelerations, axis=1).max())
         max_speed = float(speeds.max()) + max_acceleration * dt
         sound_speed = self._substeps.step_sound_speed(
             state.sound, state.pressures, speeds, max_acceleration, dt
         )
-        needed_substeps = self._substeps.substep_count(dt, max_speed, sound_speed)
-        if needed_substeps > self._substeps.max_substeps:
+        needed_count = self._substeps.substep_count(dt, max_speed, sound_speed)
+        if needed_count > self._substeps.max_substeps:
             max_substeps, spacing = self._substeps.max_substeps, self._spec.spacing
             message = f"at {max_speed:.3g} m/s and a spacing of {spacing:g} m, a step "
             message += f"of {dt:g} s needs more than {max_substeps} substeps"
-            ratio = needed_substeps / max_substeps
-            self._stop_for_long_step(state, t, dt, message, ratio, notices)
-        substeps, max_compression = int(needed_substeps), self._spec.compression
-        result = self._run_kernel(state, t, dt, accelerations, sound_speed, substeps)
+            substep_ratio = needed_count / max_substeps
+            self._stop_for_long_step(state, t, dt, message, substep_ratio, notices)
+        substep_count, max_compression = int(needed_count), self._spec.compression
+        result = self._run_kernel(
+            state, t, dt, accelerations, sound_speed, substep_count
+        )
         while result.compression > max_compression:
-            finer_sound, finer_substeps = 2 * sound_speed, 2 * substeps
+            finer_sound, finer_substeps = 2 * sound_speed, 2 * substep_count
             if finer_substeps > self._substeps.max_substeps:
                 break
             finer_result = self._run_kernel(
@@ -225,7 +229,11 @@ class Fluid:
             )
             if finer_result.compression > DOUBLING_GAIN * result.compression:
                 break
-            result, sound_speed, substeps = finer_result, finer_sound, finer_substeps
+            result, sound_speed, substep_count = (
+                finer_result,
+                finer_sound,
+                finer_substeps,
+            )
         if not np.isfinite(result.motion).all():
             self._stop("SIM102", t + dt, "numbers are not finite", "use shorter steps")
         compression = result.compression
@@ -246,7 +254,7 @@ class Fluid:
             sound=sound_speed,
             compression=compression,
             densest=max(state.densest, compression),
-            parts=substeps,
+            parts=substep_count,
         )
         if self._has_energy_gain(end_state):
             message = f"its energy changed to {self._energy(end_state)[0]:.3g} J, from "
@@ -261,11 +269,13 @@ class Fluid:
         dt: float,
         accelerations: FloatArray,
         sound_speed: float,
-        substeps: int,
+        substep_count: int,
     ) -> PressureResult:
         """Return the state after all substeps; sheets collide after each block."""
         colliders, motion = self._colliders, state.motion
-        collision_substeps = self._substeps.collision_substeps(colliders, substeps, dt)
+        collision_substeps = self._substeps.collision_substeps(
+            colliders, substep_count, dt
+        )
         substep = dt / collision_substeps
         pressures = np.zeros(len(state.ids))
         compression = 0.0
@@ -277,7 +287,7 @@ class Fluid:
             solid_colliders = self._solid_colliders(t0)
             motion, step_pressures, body_impulses, step_compression = (
                 _kernels.fluid_steps(
-                    solid_colliders.arrays(t0, t1),
+                    solid_colliders.kernel_arrays(t0, t1),
                     body_owners(colliders.bodies, len(solid_colliders)),
                     pushable_table(colliders.bodies, t0, t1),
                     motion,
@@ -288,7 +298,7 @@ class Fluid:
                     self._spec.tension,
                     sound_speed,
                     substep,
-                    -(-substeps // collision_substeps),
+                    -(-substep_count // collision_substeps),
                 )
             )
             pressures += step_pressures / collision_substeps
@@ -301,8 +311,8 @@ class Fluid:
                 motion = np.stack([collision.points, collision.velocities])
             impulses = split_by_system(colliders.bodies, body_impulses)
             wrenches = [
-                Wrenches.sum([earlier.delayed_by(substep), Wrenches(*system)])
-                for earlier, system in zip(wrenches, impulses, strict=True)
+                Wrenches.sum([earlier_wrenches.delayed_by(substep), Wrenches(*system)])
+                for earlier_wrenches, system in zip(wrenches, impulses, strict=True)
             ]
         return PressureResult(motion, pressures, compression, wrenches)
 
@@ -387,15 +397,15 @@ class Fluid:
 
     def _select(self, state: FluidState, is_selected: BoolArray) -> FluidState:
         """Return a state with the selected particles only."""
-        remaining = replace(
+        remaining_state = replace(
             state,
             ids=state.ids[is_selected],
             motion=np.ascontiguousarray(state.motion[:, is_selected]),
             births=state.births[is_selected],
             pressures=state.pressures[is_selected],
         )
-        removed_energy = self._energy(state)[0] - self._energy(remaining)[0]
-        return replace(remaining, energy=state.energy - removed_energy)
+        removed_energy = self._energy(state)[0] - self._energy(remaining_state)[0]
+        return replace(remaining_state, energy=state.energy - removed_energy)
 
     def _add_inflow(
         self,
@@ -417,7 +427,9 @@ class Fluid:
                 hint = "raise max_particles, open a drain, or close an emitter"
                 notices.append(warning("SIM121", message, hint))
             points, spacing = state.motion[0], self._spec.spacing
-            has_room = is_clear(inflow.state[0], points, self._colliders, end, spacing)
+            has_room = find_clear_points(
+                inflow.state[0], points, self._colliders, end, spacing
+            )
             blocked_count = int((~has_room).sum())
             if blocked_count:
                 message = f"{counted(blocked_count, 'particle')} could not be emitted "
@@ -446,7 +458,7 @@ class Fluid:
         return {
             "age": lambda: t - state.births,
             "density": lambda: _kernels.fluid_densities(
-                self._solid_colliders(t).arrays(t, t), points, self._spec.spacing
+                self._solid_colliders(t).kernel_arrays(t, t), points, self._spec.spacing
             ),
             "pressure": lambda: state.pressures,
             "speed": lambda: np.linalg.norm(state.motion[1], axis=1),
@@ -491,7 +503,7 @@ class Fluid:
 
 @dataclass(frozen=True, slots=True)
 class PressureResult:
-    """Result of a pressure solve."""
+    """Motion, pressures and wrenches after all substeps of a pressure solve."""
 
     motion: FloatArray  # (2, N, 3)
     pressures: FloatArray  # (N,) [Pa]

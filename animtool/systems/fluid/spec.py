@@ -182,9 +182,9 @@ class FluidModel(ForcedSpec):
                     message = f"it closes at {end:g} s, before {begin:g} s"
                     yield message, "emitters", None
 
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
+    def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:
         """Return faults of keys, and of colours without a range."""
-        faults = list(super().faults(parts))
+        faults = list(super().faults(entry_data))
         if self.colour is not None and self.colour.range is None:
             message, hint = "colours need a range", "range: [0, 4]"
             faults.append(Fault(self.code, message, where="colour", hint=hint))

@@ -107,10 +107,12 @@ class Substeps:
         count = dt * max(rates)
         return max(math.ceil(count), 1) if count < 2**31 else math.inf
 
-    def collision_substeps(self, colliders: Colliders, substeps: int, dt: float) -> int:
+    def collision_substeps(
+        self, colliders: Colliders, substep_count: int, dt: float
+    ) -> int:
         """Return the number of collisions with sheets in a step."""
         if not colliders.sheets:
             return 1
-        travel = dt * max(colliders.surfaces.fastest, 1.0)
+        travel = dt * max(colliders.surfaces.max_speed, 1.0)
         count = math.ceil(travel / (SHEET_TRAVEL * self._spec.spacing))
-        return max(1, min(count, substeps, MAX_SHEET_COLLISIONS))
+        return max(1, min(count, substep_count, MAX_SHEET_COLLISIONS))

@@ -93,18 +93,20 @@ def density_field(
 
     This is the sum of Wendland's C2 kernel over particles ``(N, 3)``; 1 in fluid.
     """
-    nodes = np.floor((points - grid_origin) / cell).astype(np.int64)
+    node_indices = np.floor((points - grid_origin) / cell).astype(np.int64)
     cell_range = int(np.ceil(radius / cell))
     values = np.zeros(int(np.prod(shape)))
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     scale = (spacing / radius) ** 3 / KERNEL_INTEGRAL
     for offset in product(range(-cell_range, cell_range + 2), repeat=3):
-        corner = nodes + offset
-        distances = np.linalg.norm(corner * cell + grid_origin - points, axis=1)
+        corner_indices = node_indices + offset
+        distances = np.linalg.norm(corner_indices * cell + grid_origin - points, axis=1)
         relative_distances = distances / radius
         is_near = relative_distances < 1
         if is_near.any():
             r = relative_distances[is_near]
             weights = scale * (1 - r) ** 4 * (4 * r + 1)
-            values += np.bincount(corner[is_near] @ strides, weights, len(values))
+            values += np.bincount(
+                corner_indices[is_near] @ strides, weights, len(values)
+            )
     return values.reshape(shape)

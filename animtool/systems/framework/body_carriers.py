@@ -99,13 +99,15 @@ class CarrierBodies(BodyColliders):
         current_centres = self.system.inertias(state)[0]
 
         def scale_wrench(wrench_rows: FloatArray, fraction: float) -> FloatArray:
-            rows = fraction * wrench_rows
-            rows[:, 3:] += so3.cross(current_centres - end_centres, rows[:, :3])
-            return rows
+            scaled_rows = fraction * wrench_rows
+            scaled_rows[:, 3:] += so3.cross(
+                current_centres - end_centres, scaled_rows[:, :3]
+            )
+            return scaled_rows
 
         impulses = scale_wrench(wrenches.impulses, fraction)
-        delayed = scale_wrench(wrenches.delayed, fraction**2)
-        return self.system.pushed(state, Wrenches(impulses, delayed))
+        delayed_impulses = scale_wrench(wrenches.delayed_impulses, fraction**2)
+        return self.system.pushed(state, Wrenches(impulses, delayed_impulses))
 
     def step_over(self, t0: float, t1: float) -> CarrierStep:
         """Return the bodies over a step [s], without pulls."""

@@ -11,7 +11,7 @@ from animtool.core.quantities import floor_to_two_digits, plain_number
 from animtool.motion.frames import Frame, TransformsFrame
 
 # Largest number of a frame; files hold up to 3e38 in any unit.
-MAX_VALUE = 1e30
+MAX_FRAME_VALUE = 1e30
 # Checked arrays besides primvars, with their units.
 ARRAY_UNITS = {
     "points": "m",
@@ -31,9 +31,9 @@ def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
     for array_name, values in arrays.items():
         if values is None or not values.size or values.dtype.kind != "f":
             continue
-        if values.min() >= -MAX_VALUE and values.max() <= MAX_VALUE:
+        if values.min() >= -MAX_FRAME_VALUE and values.max() <= MAX_FRAME_VALUE:
             continue
-        index = np.argwhere(~(np.abs(values) <= MAX_VALUE))[0]
+        index = np.argwhere(~(np.abs(values) <= MAX_FRAME_VALUE))[0]
         number, unit = float(values[tuple(index)]), ARRAY_UNITS.get(array_name, "")
         value = f"{number:.3g} {unit}".rstrip()
         _stop(name, t, f"{array_name}[{int(index[0])}] is {value}", step)
@@ -49,9 +49,9 @@ def check_finite(name: str, frame: Frame, t: float, step: float) -> None:
         arrays += [frame.rotations, frame.scales]
     if all(np.isfinite(array).all() for array in arrays):
         return
-    finite = np.isfinite(np.concatenate(arrays, axis=1))
-    (rows,) = np.nonzero(~finite.all(axis=1))
-    _stop(name, t, f"point {int(rows[0])} is not finite", step)
+    is_finite = np.isfinite(np.concatenate(arrays, axis=1))
+    (nonfinite_indices,) = np.nonzero(~is_finite.all(axis=1))
+    _stop(name, t, f"point {int(nonfinite_indices[0])} is not finite", step)
 
 
 def _stop(name: str, t: float, reason: str, step: float) -> NoReturn:

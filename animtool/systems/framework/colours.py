@@ -38,7 +38,7 @@ DENSITY_NEIGHBOURS = 16
 
 
 class ColourModel(FileModel):
-    """How points are coloured by a quantity (`displayColor`)."""
+    """Keys that colour points by a quantity (`displayColor`)."""
 
     by: Name = key("The quantity.", "speed")
     range: NumberPair | None = key(
@@ -54,11 +54,11 @@ class ColourModel(FileModel):
         default=None,
     )
 
-    def faults(self, names: Sequence[str], code: str) -> list[Fault]:
-        """Return the faults of the keys, given the names of available quantities."""
-        if self.by not in names:
+    def faults(self, quantity_names: Sequence[str], code: str) -> list[Fault]:
+        """Return the faults of the keys, given the available quantities."""
+        if self.by not in quantity_names:
             message = f"unknown quantity {excerpt(self.by)}"
-            hint = f"use one of {', '.join(names)}"
+            hint = f"use one of {', '.join(quantity_names)}"
             return [Fault(code, message, hint=hint, where="colour")]
         if self.range is not None and not self.range[0] < self.range[1]:
             message = f"the range of colours from {self.range[0]:g} to "
@@ -76,7 +76,7 @@ class Colouring:
     ramp: FloatArray  # (C, 3)
 
     @staticmethod
-    def of(model: ColourModel, quantities: Quantities) -> Colouring:
+    def from_model(model: ColourModel, quantities: Quantities) -> Colouring:
         """Return the colouring of a model; its default range is from the quantities."""
         default_ramp = DEFAULT_PALETTE if model.by == "species" else DEFAULT_RAMP
         ramp = np.array(model.ramp or default_ramp, np.float64)
@@ -109,10 +109,12 @@ def log_density(
     """
     from scipy.spatial import cKDTree
 
-    count = min(DENSITY_NEIGHBOURS, len(points) - 1)
-    if count < 1:
+    neighbour_count = min(DENSITY_NEIGHBOURS, len(points) - 1)
+    if neighbour_count < 1:
         return np.zeros(len(points))
     tree = cKDTree(points, boxsize=box)
-    neighbour_distances = tree.query(points, [count + 1])[0][:, 0]
+    neighbour_distances = tree.query(points, [neighbour_count + 1])[0][:, 0]
     volumes = 4 / 3 * np.pi * np.maximum(neighbour_distances, 1e-300) ** 3
-    return np.asarray(np.log10(np.maximum(count * masses.mean() / volumes, 1e-300)))
+    return np.asarray(
+        np.log10(np.maximum(neighbour_count * masses.mean() / volumes, 1e-300))
+    )

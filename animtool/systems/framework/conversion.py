@@ -20,7 +20,7 @@ from animtool.systems.framework.fields import TimedVector
 # Powers of the length in named units; 0 in all others.
 _LENGTH_POWERS = {"m": 1, "N": 1, "J": 2, "V": 2, "Pa": -1}
 _SUPERSCRIPTS = {"²": 2, "³": 3}
-_BRACKETS = re.compile(r"\[([^\]]+)\]")
+_BRACKETED_UNIT = re.compile(r"\[([^\]]+)\]")
 _UNIT_FACTOR = re.compile(r"([a-zA-Z]+)([²³]?)")
 
 # Units of options that have no description; empty for numbers without a unit.
@@ -107,7 +107,7 @@ class SceneUnits:
     scene_length: LengthUnit | None = None
 
     @staticmethod
-    def of(length: str | None, angle: str | None) -> SceneUnits:
+    def from_names(length: str | None, angle: str | None) -> SceneUnits:
         """Return units by name; None is the default of systems."""
         unit = None if length is None else LengthUnit(length)
         degrees = math.degrees(1.0) if angle == "rad" else 1.0
@@ -121,7 +121,7 @@ class SceneUnits:
     def factor(self, unit: str) -> float:
         """Return the factor from a unit to metres and degrees.
 
-        >>> SceneUnits.of("cm", None).factor("m/s²")
+        >>> SceneUnits.from_names("cm", None).factor("m/s²")
         0.01
         """
         length_power, angle_power = unit_powers(unit)
@@ -146,20 +146,22 @@ class SceneUnits:
         if self.is_default:
             return model
         joint_type = str(getattr(model, "type", joint_type))
-        update: dict[str, Any] = {}
+        converted_values: dict[str, Any] = {}
         for key in model.model_fields_set:
             field, value = type(model).model_fields[key], getattr(model, key)
-            inherited = weight_unit if key == "weight" else ""
-            units = _BRACKETS.findall(field.description or "") or [inherited]
+            inherited_unit = weight_unit if key == "weight" else ""
+            units = _BRACKETED_UNIT.findall(field.description or "") or [inherited_unit]
             unit = units[min(len(units) - 1, int(joint_type == "prismatic"))]
             if key == "range" and hasattr(model, "ramp"):
                 unit = _COLOUR_UNITS.get(str(getattr(model, "by", "")), "")
             is_timed = _contains_marker(field.annotation, TimedVector)
-            update[key] = self._convert_value(value, unit, joint_type, timed=is_timed)
-        return model.model_copy(update=update)
+            converted_values[key] = self._convert_value(
+                value, unit, joint_type, is_timed=is_timed
+            )
+        return model.model_copy(update=converted_values)
 
     def _convert_value(
-        self, value: Any, unit: str, joint_type: str, *, timed: bool
+        self, value: Any, unit: str, joint_type: str, *, is_timed: bool
     ) -> Any:
         """Convert the value of a key, also nested entries, to metres and degrees."""
         if isinstance(value, FileModel):
@@ -173,23 +175,19 @@ class SceneUnits:
             isinstance(item, FileModel | dict) for item in value
         ):
             return [
-                self._convert_value(item, unit, joint_type, timed=timed)
+                self._convert_value(item, unit, joint_type, is_timed=is_timed)
                 for item in value
             ]
-        if timed and value:
+        if is_timed and value:
             return [[row[0], *self._scale_numbers(row[1:], unit)] for row in value]
         return self._scale_numbers(value, unit)
 
     def convert_options(self, name: str, options: dict[str, Any]) -> dict[str, Any]:
         """Return the options of a named force, shape or emitter in metres."""
-        units = dict(RECORD_UNITS.get(name, {}))
-        converted = {
-            key: self._scale_numbers(value, units.get(key, ""))
-            for key, value in options.items()
-        }
+        converted_options = self._scale_options(options, RECORD_UNITS.get(name, {}))
         if name == "central" and isinstance(options.get("strength"), (int, float)):
-            converted["strength"] = self._convert_central(options)
-        return converted
+            converted_options["strength"] = self._convert_central(options)
+        return converted_options
 
     def _convert_central(self, options: Mapping[str, Any]) -> float:
         """Return the strength of a central force, converted to metres.
@@ -204,7 +202,12 @@ class SceneUnits:
         self, name: str, options: Mapping[str, Any]
     ) -> dict[str, Any]:
         """Return the specified options of a pass, converted to metres."""
-        units = PASS_UNITS.get(name, {})
+        return self._scale_options(options, PASS_UNITS.get(name, {}))
+
+    def _scale_options(
+        self, options: Mapping[str, Any], units: Mapping[str, str]
+    ) -> dict[str, Any]:
+        """Convert option values from the units of the options, by name."""
         return {
             key: self._scale_numbers(value, units.get(key, ""))
             for key, value in options.items()
@@ -223,7 +226,7 @@ class SceneUnits:
 
     def array_factor(self, description: str | None) -> float:
         """Return the factor to metres and degrees from the unit in a description."""
-        units = _BRACKETS.findall(description or "")
+        units = _BRACKETED_UNIT.findall(description or "")
         return self.factor(units[0]) if units else 1.0
 
 
@@ -235,4 +238,4 @@ def _contains_marker(annotation: Any, marker: Any) -> bool:
 
 
 # The default units: metres and degrees.
-METRES = SceneUnits()
+DEFAULT_UNITS = SceneUnits()

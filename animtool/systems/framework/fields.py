@@ -34,7 +34,7 @@ NamedOptions = Annotated[
 
 
 class FieldKind(StrEnum):
-    """How the entry of a field is read for the build context.
+    """Kind of data that the entry of a field is read into, for `SimContext.parts`.
 
     A field has its kind in the annotation of its type.
     """
@@ -174,10 +174,10 @@ class RecordModel(FileModel):
 
     record_path: ClassVar[str]  # record class as ``module:class``; it checks its values
 
-    def record(self, parts: Mapping[str, Any]) -> CheckedRecord:
+    def record(self, entry_data: Mapping[str, Any]) -> CheckedRecord:
         """Return the record built from the values that were read for the keys."""
         record_class: Any = load_object(self.record_path)
-        record: CheckedRecord = record_from_model(record_class, self, **parts)
+        record: CheckedRecord = record_from_model(record_class, self, **entry_data)
         return record
 
 

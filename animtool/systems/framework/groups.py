@@ -19,37 +19,37 @@ class Groups:
 
     noun: ClassVar[str]  # word for an individual in messages
     entries: Sequence[Any]  # models with a name and a radius
-    ends: Sequence[int]  # end index of each entry
+    end_indices: Sequence[int]  # end index of each entry
 
     def __len__(self) -> int:
         """Return the number of individuals."""
-        return self.ends[-1]
+        return self.end_indices[-1]
 
     @cached_property
-    def rows_by_entry(self) -> list[slice]:
+    def ranges_by_entry(self) -> list[slice]:
         """Index range of each entry."""
-        starts = [0, *self.ends[:-1]]
-        return [slice(a, b) for a, b in zip(starts, self.ends, strict=True)]
+        starts = [0, *self.end_indices[:-1]]
+        return [slice(a, b) for a, b in zip(starts, self.end_indices, strict=True)]
 
     @cached_property
-    def kinds(self) -> IntArray:
+    def entry_indices(self) -> IntArray:
         """Entry index of each individual ``(N,)``."""
-        return np.repeat(np.arange(len(self.entries)), np.diff([0, *self.ends]))
+        return np.repeat(np.arange(len(self.entries)), np.diff([0, *self.end_indices]))
 
-    def per_individual(self, values: Sequence[float]) -> FloatArray:
+    def repeat_per_individual(self, values: Sequence[float]) -> FloatArray:
         """Return the value of each entry, repeated for all its individuals ``(N,)``."""
-        return np.asarray(values, np.float64)[self.kinds]
+        return np.asarray(values, np.float64)[self.entry_indices]
 
     @cached_property
     def radii(self) -> FloatArray:
         """Radius of each individual ``(N,)`` [m]."""
-        return self.per_individual([entry.radius for entry in self.entries])
+        return self.repeat_per_individual([entry.radius for entry in self.entries])
 
     def label(self, i: int) -> str:
         """Return the name of an individual for messages."""
-        entry = int(self.kinds[i])
-        number = i - self.rows_by_entry[entry].start
-        return f"{self.noun} {number} of {self.entries[entry].name!r}"
+        entry_index = int(self.entry_indices[i])
+        number = i - self.ranges_by_entry[entry_index].start
+        return f"{self.noun} {number} of {self.entries[entry_index].name!r}"
 
 
 def duplicate_names(key: str, names: Sequence[str]) -> Iterator[Problem]:

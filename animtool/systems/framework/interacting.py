@@ -75,7 +75,7 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
         check: Callable[[float, FloatArray, InteractionSums], None] = lambda *_: None,
     ) -> None:
         self._bodies, self._motion, self._check = bodies, motion, check
-        self._cached = motion[0], initial_sums
+        self._cached_sums = motion[0], initial_sums
 
     @property
     def state(self) -> FloatArray:
@@ -84,10 +84,10 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
 
     def sums_at(self, x: FloatArray) -> InteractionSums:
         """Return the interaction sums at positions ``(N, 3)``, cached."""
-        cached_positions, sums = self._cached
+        cached_positions, sums = self._cached_sums
         if x is not cached_positions and not np.array_equal(x, cached_positions):
             sums = self._bodies.compute_sums(np.ascontiguousarray(x), sums)
-        self._cached = x, sums
+        self._cached_sums = x, sums
         return sums
 
     def acceleration(self, t: float, x: FloatArray, v: FloatArray) -> FloatArray:  # noqa: ARG002
@@ -98,18 +98,18 @@ class StepSystem(SecondOrder, Generic[InteractionSums]):
         self._check(t, x, sums)
         return self._bodies.accelerations_from(t, x, sums)
 
-    def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+    def suspected_cause(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return why a state is hard to integrate, for messages; may be empty."""
         if not np.isfinite(state).all():
             return ""
-        return self._bodies.suspect(state[0], self.sums_at(state[0]))
+        return self._bodies.suspected_cause(state[0], self.sums_at(state[0]))
 
 
 class Interacting(ABC, Generic[State, InteractionSums]):
     """Base class of simulations of interacting bodies.
 
-    A subclass calls `__init__`, sets the remaining attributes, calls `begin`, and
-    defines a step.
+    A subclass calls `__init__`, sets the remaining attributes, calls `finish_setup`,
+    and defines a step.
 
     Attributes:
         checked: Whether steps raise if a number is not finite.
@@ -119,7 +119,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         radii: Displayed radii ``(N,)`` [m].
         species: Entry index of each body ``(N,)``.
         has_many_species: Whether there is more than one entry.
-        written_bodies: Indices of the bodies in frames ``(M,)``.
+        written_indices: Indices of the bodies in frames ``(M,)``.
         inertia: Divisor from forces to accelerations ``(N, 1)``; None is 1.
         box: Size of the periodic box ``(3,)``; None without.
     """
@@ -131,7 +131,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     radii: FloatArray
     species: npt.NDArray[np.integer[Any]]
     has_many_species: bool
-    written_bodies: IntArray
+    written_indices: IntArray
     box: FloatArray | None = None
     inertia: FloatArray | None = None
 
@@ -143,24 +143,26 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         ``forces_key`` is the key of external forces in the spec.
         """
         self._spec, self._begin, self._time_scale = spec, context.begin, time_scale
-        poses = [parts["poses"] for parts in context.parts.get(forces_key, ())]
+        poses = [
+            force_data["poses"] for force_data in context.parts.get(forces_key, ())
+        ]
         self.external_forces = list(zip(getattr(spec, forces_key), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)
         self._options = IntegrateOptions(spec.method, spec.step * time_scale, tolerance)
         self._integrator = check_options(self._options)
         self._colouring: Colouring | None = None
 
-    def begin(self) -> None:
-        """Check the method, and set colour ranges from the first state."""
+    def finish_setup(self) -> None:
+        """Check that the method fits; set colour ranges from the first state."""
         state = self.initial()
         check_supported(Equations(self._system(state)), self._integrator)
         if self._spec.colour is not None:
             quantities = self._quantities(state, self._begin)
-            self._colouring = Colouring.of(self._spec.colour, quantities)
+            self._colouring = Colouring.from_model(self._spec.colour, quantities)
 
     @abstractmethod
     def _start(self, motion: FloatArray) -> State:
-        """Return the initial state, with the motion of `bodies`."""
+        """Build the initial state from positions and velocities ``(2, N, 3)``."""
 
     @abstractmethod
     def _state_sums(self, state: State) -> InteractionSums:
@@ -194,7 +196,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         The position of the force is ``(3,)``; positions of bodies are ``x`` ``(N, 3)``.
         """
 
-    def suspect(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002
+    def suspected_cause(self, x: FloatArray, sums: InteractionSums) -> str:  # noqa: ARG002
         """Return why positions are hard to integrate, as text; may be empty."""
         return ""
 
@@ -247,7 +249,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         return accelerations, energies
 
     def initial(self) -> State:
-        """Return the initial state."""
+        """Return the bodies at the start, with the sums at their positions."""
         return self._initial_state
 
     def _integrate(
@@ -261,8 +263,8 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     def _check_energy(self, state: State, t: float) -> None:
         """Raise SIM102 if energy is not conserved."""
         initial, energy = self._initial_energy, self._energy(state, t)
-        exchanged = self._exchanged_energy(state, energy)
-        scale = max(initial.kinetic, abs(initial.potential), exchanged)
+        exchanged_energy = self._exchanged_energy(state, energy)
+        scale = max(initial.kinetic, abs(initial.potential), exchanged_energy)
         has_supply = self._is_driven or not scale
         gain = abs(self._energy_gain(state, energy))
         if not has_supply and not gain <= MAX_ENERGY_GROWTH * scale:
@@ -302,7 +304,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     @np.errstate(all="ignore")
     def frame(self, state: State, t: float) -> PointsFrame:
         """Return the frame of the written bodies."""
-        rows = self.written_bodies
+        rows = self.written_indices
         points, velocities = self._to_scene(state.motion)[:, rows]
         primvars: dict[str, Any] = {}
         if self.has_many_species:

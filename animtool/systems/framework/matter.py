@@ -18,11 +18,11 @@ from animtool.systems.framework.fields import PlacementModel
 def unit_quaternion(wxyz: Sequence[float]) -> FloatArray:
     """Return a quaternion w, x, y, z as a unit x, y, z, w."""
     w, *xyz = wxyz
-    size = float(np.linalg.norm(wxyz))
-    if not size > 0:
+    norm = float(np.linalg.norm(wxyz))
+    if not norm > 0:
         message = "rotate is a zero quaternion, which has no rotation"
         refuse("SIM020", message, "rotate")
-    return np.array([*xyz, w], np.float64) / size
+    return np.array([*xyz, w], np.float64) / norm
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +35,10 @@ class UnitFrame:
     time_scale: float = 1.0  # local time units per second
 
     @staticmethod
-    def of(
+    def from_placement(
         pose: PlacementModel, scale: float = 1.0, time_scale: float = 1.0
     ) -> UnitFrame:
-        """Return the frame of a placement."""
+        """Return the frame at a placement, with its units of length and time."""
         rotation = unit_quaternion(pose.rotate)
         return UnitFrame(np.array(pose.at), rotation, scale, time_scale)
 
@@ -53,8 +53,8 @@ class UnitFrame:
 
     def velocities_to_local(self, v: FloatArray) -> FloatArray:
         """Transform scene velocities ``(…, 3)`` [m/s] to the frame."""
-        rotated = so3.rotate(so3.conjugate(self.rotation), v)
-        return np.asarray(rotated / (self.scale * self.time_scale))
+        rotated_velocities = so3.rotate(so3.conjugate(self.rotation), v)
+        return np.asarray(rotated_velocities / (self.scale * self.time_scale))
 
     def velocities_to_scene(self, v: FloatArray) -> FloatArray:
         """Transform velocities ``(…, 3)`` of the frame to the scene [m/s]."""
@@ -71,18 +71,18 @@ class PointMasses(Rows):
 
     @staticmethod
     def read(
-        parts: Mapping[str, Any], mass: float, noun: str, code: str, where: str
+        arrays: Mapping[str, Any], mass: float, noun: str, code: str, location: str
     ) -> PointMasses:
         """Return bodies from arrays of files, by default at rest and of equal mass."""
-        check_rows(parts, noun, code, where)
-        points, velocities = parts["points"], parts.get("velocities")
+        check_body_arrays(arrays, noun, code, location)
+        points, velocities = arrays["points"], arrays.get("velocities")
         velocities = np.zeros(points.shape) if velocities is None else velocities
-        masses = parts.get("masses")
+        masses = arrays.get("masses")
         masses = np.full(len(points), mass) if masses is None else masses
         if (masses <= 0).any():
             i = int(np.argmax(masses <= 0))
             message = f"the mass of {noun} {i} is {masses[i]:g} kg; it must be above 0"
-            refuse(code, message, where)
+            refuse(code, message, location)
         return PointMasses(points, velocities, masses)
 
 
@@ -108,7 +108,7 @@ def check_distinct(
     points: FloatArray,
     pair_names: Callable[[int, int], str],
     code: str,
-    where: str,
+    location: str,
     hint: str,
     reason: str = "",
 ) -> None:
@@ -118,16 +118,16 @@ def check_distinct(
     must not coincide.
     """
     order = np.lexsort(points.T)
-    coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
-    if coincident.any():
-        i = int(np.argmax(coincident))
+    is_coincident = (np.diff(points[order], axis=0) == 0).all(axis=1)
+    if is_coincident.any():
+        i = int(np.argmax(is_coincident))
         names = pair_names(*sorted(order[[i, i + 1]].tolist()))
         message = f"{names} start at the same position{': ' if reason else ''}{reason}"
-        refuse(code, message, where, hint)
+        refuse(code, message, location, hint)
 
 
-def check_rows(
-    arrays: Mapping[str, FloatArray | None], noun: str, code: str, where: str
+def check_body_arrays(
+    arrays: Mapping[str, FloatArray | None], noun: str, code: str, location: str
 ) -> None:
     """Raise if arrays of bodies have wrong shapes or numbers that are not finite.
 
@@ -142,10 +142,10 @@ def check_rows(
         shape = (count,) if name == "masses" else (count, 3)
         message = f"{name} have shape {array.shape}, not {shape}"
         if array.shape == shape:
-            columns = 3 if array.ndim > 1 else 1
-            finite = np.isfinite(array.reshape(count, columns)).all(axis=1)
-            if finite.all():
+            column_count = 3 if array.ndim > 1 else 1
+            is_finite = np.isfinite(array.reshape(count, column_count)).all(axis=1)
+            if is_finite.all():
                 continue
-            message = f"{name} of {noun} {int(np.argmin(finite))} are not finite"
-        problems.append((message, where, None))
+            message = f"{name} of {noun} {int(np.argmin(is_finite))} are not finite"
+        problems.append((message, location, None))
     refuse_all(code, problems)

@@ -18,9 +18,9 @@ from animtool.sim.colliders import Colliders, Mesh
 # Depth in a skin or a collider that is visible in a picture [m].
 VISIBLE_DEPTH = 2e-3
 # Depth that rounding explains [m].
-ROUNDING = 1e-9
+MIN_DEPTH = 1e-9
 # What is deeper at the start is inside, not pressed in [m].
-START_DEPTH = 0.05
+MAX_START_DEPTH = 0.05
 # Visible strain of cloth: 99th percentile and maximum [1].
 VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
 
@@ -92,7 +92,7 @@ class MeasuredSurface:
 class ContactMeter:
     """Measures the peaks of depth, piercing and strain over frames."""
 
-    seconds: bool = False  # whether frames are times in [s], as for systems
+    uses_seconds: bool = False  # whether frames are times in [s], as for systems
     start: float | None = None  # first measured time of a system [s]
     # Largest depth in a skin or a collider [m].
     depth: PeakValue = field(default_factory=PeakValue)
@@ -109,7 +109,7 @@ class ContactMeter:
         surface: MeasuredSurface,
         solids: Sequence[ClosedSurface] = (),
         depths: FloatArray | None = None,
-        layers: Sequence[ClosedSurface] = (),
+        open_surfaces: Sequence[ClosedSurface] = (),
     ) -> None:
         """Measure a frame.
 
@@ -119,29 +119,40 @@ class ContactMeter:
             surface: Sides and triangles to measure.
             solids: Closed surfaces that particles must stay outside of.
             depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
-            layers: Other open surfaces, only tested for piercing.
+            open_surfaces: Other open surfaces, only tested for piercing.
         """
-        if self.seconds and self.start is None:
+        if self.uses_seconds and self.start is None:
             self.start = frame
         max_depths = np.zeros(len(points)) if depths is None else depths.copy()
-        free = surface.free_particles
+        free_particles = surface.free_particles
         for solid in solids:
-            depths_in_solid = surface_depths(solid, points[free])
-            max_depths[free] = np.maximum(max_depths[free], depths_in_solid)
-        if len(free):
-            deepest = int(free[max_depths[free].argmax()])
-            depth = float(max_depths[deepest])
-            self.depth = self._larger_peak(self.depth, depth, frame, points, deepest)
+            depths_in_solid = surface_depths(solid, points[free_particles])
+            max_depths[free_particles] = np.maximum(
+                max_depths[free_particles], depths_in_solid
+            )
+        if len(free_particles):
+            deepest_particle = int(free_particles[max_depths[free_particles].argmax()])
+            depth = float(max_depths[deepest_particle])
+            self.depth = self._larger_peak(
+                self.depth, depth, frame, points, deepest_particle
+            )
         if len(surface.triangles):
-            pairs = count_pierced_pairs(points, surface.triangles, [*solids, *layers])
-            first = int(surface.triangles[0, 0])
-            count = float(pairs)
-            self.pierced = self._larger_peak(self.pierced, count, frame, points, first)
+            pair_count = count_pierced_pairs(
+                points, surface.triangles, [*solids, *open_surfaces]
+            )
+            first_corner = int(surface.triangles[0, 0])
+            count = float(pair_count)
+            self.pierced = self._larger_peak(
+                self.pierced, count, frame, points, first_corner
+            )
         if len(surface.rest_lengths):
             strains = np.abs(surface.lengths(points) / surface.rest_lengths - 1)
-            largest = int(strains.argmax())
-            particle = int(surface.edges[largest, 0])
-            value, quantile = float(strains[largest]), float(np.quantile(strains, 0.99))
+            largest_index = int(strains.argmax())
+            particle = int(surface.edges[largest_index, 0])
+            value, quantile = (
+                float(strains[largest_index]),
+                float(np.quantile(strains, 0.99)),
+            )
             self.strain = self._larger_peak(self.strain, value, frame, points, particle)
             self.strain_99 = self._larger_peak(
                 self.strain_99, quantile, frame, points, particle
@@ -159,8 +170,8 @@ class ContactMeter:
         if not value > peak.value:
             return peak
         x, y, z = points[point].tolist()
-        code, t = (None, frame) if self.seconds else (frame, None)
-        return PeakValue(value, code, point, (x, y, z), t)
+        time_code, time = (None, frame) if self.uses_seconds else (frame, None)
+        return PeakValue(value, time_code, point, (x, y, z), time)
 
     @property
     def values(self) -> dict[str, dict[str, object]]:
@@ -172,7 +183,7 @@ class ContactMeter:
     def text(self) -> str:
         """Peaks of depth and strain as text; empty without contact and strain."""
         phrases = []
-        if self.depth.value > ROUNDING:
+        if self.depth.value > MIN_DEPTH:
             depth = f"{length_text(self.depth.value, 2)} deep in what it touches"
             phrases.append(f"{depth} ({self.depth.text})")
         if self.strain.value > 0:
@@ -184,14 +195,14 @@ class ContactMeter:
 
     def notices(self, subject: str) -> list[Fault]:
         """Return warnings of visible depth, piercing and strain (SIM180 to SIM182)."""
-        notices, remedy = [], "a shorter step" if self.seconds else "a higher rate"
+        notices, remedy = [], "a shorter step" if self.uses_seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
             depth = length_text(self.depth.value, 2)
             message = f"{subject} is {depth} deep in what it touches "
             message += f"({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
-            starts_inside = self.seconds and self.depth.time == self.start
-            if starts_inside and self.depth.value > START_DEPTH:
+            starts_inside = self.uses_seconds and self.depth.time == self.start
+            if starts_inside and self.depth.value > MAX_START_DEPTH:
                 hint = "it starts inside: move it out"
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
@@ -206,7 +217,7 @@ class ContactMeter:
             message += f"{percent_text(self.strain.value)} ({self.strain.text}), 99th "
             message += f"percentile {percent_text(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {remedy}"
-            hint += " or a higher stiffness" if self.seconds else ""
+            hint += " or a higher stiffness" if self.uses_seconds else ""
             notices.append(warning("SIM182", message, hint))
         return notices
 
@@ -222,7 +233,7 @@ def closed_surfaces(colliders: Colliders, t: float) -> list[ClosedSurface]:
 
 def collider_depths(colliders: Colliders, points: FloatArray, t: float) -> FloatArray:
     """Return depths of points in rigid colliders ``(N,)`` [m]; below 0 is outside."""
-    if not colliders.rigid:
+    if not colliders.rigid_colliders:
         return np.full(len(points), -np.inf)
     return np.asarray(-colliders.sample(points, t).distances.min(axis=0))
 
@@ -237,15 +248,15 @@ def surface_depths(surface: ClosedSurface, points: FloatArray) -> FloatArray:
     [0.1, 0.0]
     """
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
-    candidates = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
+    candidate_indices = np.flatnonzero(((points > low) & (points < high)).all(axis=1))
     depths = np.zeros(len(points))
-    if len(candidates):
+    if len(candidate_indices):
         positions, kernel = surface.points, surface.kernel
         if kernel is None:
             positions, triangles = Mesh(positions, surface.triangles).weld()
             kernel = _kernels.MeshSurface(positions, triangles)
-        distances = kernel.distances(positions, points[candidates])
-        depths[candidates] = np.maximum(-distances, 0.0)
+        distances = kernel.distances(positions, points[candidate_indices])
+        depths[candidate_indices] = np.maximum(-distances, 0.0)
     return depths
 
 

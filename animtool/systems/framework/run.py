@@ -19,7 +19,7 @@ from animtool.systems.framework.simulation import (
     ManySteps,
     Simulation,
     State,
-    Stepped,
+    SteppedState,
     SystemView,
 )
 from animtool.systems.framework.surfaces import (
@@ -38,7 +38,7 @@ STEP_TOLERANCE = 1e-9
 class ReachedState(Generic[State]):
     """A state, and the number of steps from the start to it."""
 
-    steps: int
+    step_count: int
     state: State
 
 
@@ -167,7 +167,7 @@ class SimulationRun(EntryRun):
         self._pullers: list[tuple[CarrierBodies, Any]] = []
         # States at the start of the next step after pushes, by step.
         self._pushed_states: dict[int, ReachedState[Any]] = {}
-        start_time = self.step_time(self.state.steps)
+        start_time = self.step_time(self.state.step_count)
         self.last_sample: tuple[Any, float] = self.state.state, start_time
         self._last_time: float | None = None  # last requested time [s]
         stepper = simulation if isinstance(simulation, ManySteps) else None
@@ -179,13 +179,15 @@ class SimulationRun(EntryRun):
             return self.last_sample
         steps = self.advance(t)
         start = self.state
-        if steps < start.steps:
+        if steps < start.step_count:
             # Systems coupled to it may have advanced it beyond the frame.
-            earlier = [past for past in self._past_states or () if past.steps <= steps]
-            if not earlier:
+            earlier_states = [
+                past for past in self._past_states or () if past.step_count <= steps
+            ]
+            if not earlier_states:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
-            start = earlier[-1]
+            start = earlier_states[-1]
         time = self.step_time(steps)
         state = self._partial_step(start, t)
         if state is start and self._pullers:
@@ -205,11 +207,13 @@ class SimulationRun(EntryRun):
         steps = self.advance(t)
         start = self.step_time(steps)
         is_within = t - start > STEP_TOLERANCE * self.step_length
-        if not is_within or steps != self.state.steps or t < self.begin:
+        if not is_within or steps != self.state.step_count or t < self.begin:
             return None
         end = self.step_time(steps + 1)
         wrenches = self.simulation.pulls(self.state.state, start)
-        index = [pushed is bodies for pushed in self._pushed_bodies].index(True)
+        index = [
+            pushed_bodies is bodies for pushed_bodies in self._pushed_bodies
+        ].index(True)
         return wrenches[index], start, end
 
     def advance(self, t: float) -> int:
@@ -217,20 +221,20 @@ class SimulationRun(EntryRun):
         end_step = max(self._step_count(t), 0)
         has_observers = self._past_states is not None
         is_coupled = has_observers or self._pushed_bodies or self._pushers
-        count = end_step - self.state.steps
+        count = end_step - self.state.step_count
         if self._many_steps is not None and not is_coupled and count > 0:
-            start, step = self.step_time(self.state.steps), self.step_length
+            start, step = self.step_time(self.state.step_count), self.step_length
             result = self._many_steps(self.state.state, start, step, count)
             self.state = ReachedState(end_step, result.state)
             self.steps_taken += count
             self._record_notices(result.notices)
-        while self.state.steps < end_step:
+        while self.state.step_count < end_step:
             self._full_step()
         return end_step
 
     def _full_step(self) -> None:
         """Take a full step, and push the bodies of other systems."""
-        begin, end = self.apply_pushes(), self.step_time(self.state.steps + 1)
+        begin, end = self.apply_pushes(), self.step_time(self.state.step_count + 1)
         self.state, wrenches = self._step_until(begin, end)
         if self._past_states is None:
             self._pushed_states.clear()
@@ -243,16 +247,16 @@ class SimulationRun(EntryRun):
 
     def _partial_step(self, state: ReachedState[Any], t: float) -> ReachedState[Any]:
         """Return a state advanced by a partial step to a time [s]."""
-        if t <= self.step_time(state.steps) + STEP_TOLERANCE * self.step_length:
+        if t <= self.step_time(state.step_count) + STEP_TOLERANCE * self.step_length:
             return state
         return self._step_until(self._with_pushes(state), t)[0]
 
     def _with_pushes(self, state: ReachedState[Any]) -> ReachedState[Any]:
         """Return a state with pushes applied, from which the next step starts."""
-        is_current = state.steps == self.state.steps
+        is_current = state.step_count == self.state.step_count
         if is_current:
             return self.apply_pushes()
-        return self._pushed_states.get(state.steps, state)
+        return self._pushed_states.get(state.step_count, state)
 
     def push(self, t: float, pusher_index: int, wrenches: Wrenches) -> None:
         """Queue impulses on the bodies at a time [s]."""
@@ -266,7 +270,7 @@ class SimulationRun(EntryRun):
         Pushers are advanced to the same time first, so that the result does not depend
         on the requested times.
         """
-        steps = self.state.steps
+        steps = self.state.step_count
         if not self._pushers:
             return self.state
         if steps in self._pushed_states:
@@ -275,15 +279,19 @@ class SimulationRun(EntryRun):
         time = self.step_time(steps)
         for pusher in self._pushers:
             pusher.advance(time)
-        limit = time + STEP_TOLERANCE * self.step_length
-        due_pushes = [push for push in self._queued_pushes if push[0] <= limit]
+        latest_time = time + STEP_TOLERANCE * self.step_length
+        due_pushes = [push for push in self._queued_pushes if push[0] <= latest_time]
         due_pushes.sort(key=lambda push: push[:2])
-        self._queued_pushes = [push for push in self._queued_pushes if push[0] > limit]
+        self._queued_pushes = [
+            push for push in self._queued_pushes if push[0] > latest_time
+        ]
         self._pushed_states[steps] = self.state
         if due_pushes:
             wrenches = [push[2].delayed_by(time - push[0]) for push in due_pushes]
-            pushed = self.simulation.pushed(self.state.state, Wrenches.sum(wrenches))
-            self._pushed_states[steps] = ReachedState(steps, pushed)
+            pushed_state = self.simulation.pushed(
+                self.state.state, Wrenches.sum(wrenches)
+            )
+            self._pushed_states[steps] = ReachedState(steps, pushed_state)
         return self._pushed_states[steps]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
@@ -311,7 +319,9 @@ class SimulationRun(EntryRun):
     def _record_notices(self, notices: Sequence[Fault]) -> None:
         """Record the warnings of a step that have new codes."""
         for notice in notices:
-            if notice.code not in {earlier.code for earlier in self.step_notices}:
+            if notice.code not in {
+                recorded_notice.code for recorded_notice in self.step_notices
+            }:
                 self.step_notices.append(notice)
 
     def _step_count(self, t: float) -> int:
@@ -332,12 +342,15 @@ class SimulationRun(EntryRun):
         count = self.advance(t)
         # A resumed run has no earlier states.
         states = self._past_states
-        candidates = (past for past in reversed(states) if past.steps <= count)
-        state = next(candidates, states[0])
-        time, sampled = self.step_time(state.steps), self._partial_step(state, t)
-        if with_pushes and sampled is state:
-            sampled = self._with_pushes(state)
-        return sampled.state, max(t, time)
+        reached_states = (past for past in reversed(states) if past.step_count <= count)
+        state = next(reached_states, states[0])
+        time, sampled_state = (
+            self.step_time(state.step_count),
+            self._partial_step(state, t),
+        )
+        if with_pushes and sampled_state is state:
+            sampled_state = self._with_pushes(state)
+        return sampled_state.state, max(t, time)
 
     def forget(self) -> None:
         """Discard past states that no observer needs."""
@@ -346,10 +359,14 @@ class SimulationRun(EntryRun):
         if t == -math.inf:
             return
         count, states = self._step_count(t), self._past_states
-        expired_rows = [k for k, past in enumerate(states) if past.steps <= count]
-        del states[: expired_rows[-1] if expired_rows else 0]
-        first_step, pushed = states[0].steps, self._pushed_states
-        self._pushed_states = {k: pushed[k] for k in pushed if k >= first_step}
+        expired_indices = [
+            k for k, past in enumerate(states) if past.step_count <= count
+        ]
+        del states[: expired_indices[-1] if expired_indices else 0]
+        first_step, pushed_states = states[0].step_count, self._pushed_states
+        self._pushed_states = {
+            k: pushed_states[k] for k in pushed_states if k >= first_step
+        }
 
     def _step_until(
         self, state: ReachedState[Any], end: float
@@ -358,12 +375,12 @@ class SimulationRun(EntryRun):
 
         Also returns impulses on bodies of other systems.
         """
-        start = self.step_time(state.steps)
+        start = self.step_time(state.step_count)
         result = self.simulation.step(state.state, start, end - start)
-        result = result if isinstance(result, Stepped) else Stepped(result)
+        result = result if isinstance(result, SteppedState) else SteppedState(result)
         self.steps_taken += 1
         self._record_notices(result.notices)
         if not getattr(self.simulation, "checked", False):
             frame = self.simulation.frame(result.state, end)
             check_finite(self.name, frame, end, self.step_length)
-        return ReachedState(state.steps + 1, result.state), result.wrenches
+        return ReachedState(state.step_count + 1, result.state), result.wrenches

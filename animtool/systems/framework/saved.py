@@ -20,9 +20,9 @@ from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.systems.framework.run import ReachedState
 
-FORMAT = "animtool-system/1"
+STATE_FORMAT = "animtool-system/1"
 # Largest integer that is exact as a float.
-MAX_STEPS = 2**53
+MAX_EXACT_INTEGER = 2**53
 # Largest number in a state, whose square fits into float64.
 MAX_MAGNITUDE = 1e150
 _Arrays = dict[str, npt.NDArray[Any]]
@@ -41,10 +41,10 @@ def write_states(
     path: Path, states: Mapping[str, tuple[StateClock, ReachedState[Any]]]
 ) -> None:
     """Write states by name, replacing the file; a single state has no name."""
-    arrays: _Arrays = {"format": np.array(FORMAT)}
+    arrays: _Arrays = {"format": np.array(STATE_FORMAT)}
     for name, (clock, reached_state) in states.items():
         prefix = f"{name}/" if name else ""
-        clock_row = [clock.begin, clock.step, float(reached_state.steps)]
+        clock_row = [clock.begin, clock.step, float(reached_state.step_count)]
         state = _state_arrays(reached_state.state)
         arrays[f"{prefix}kind"] = np.array(clock.kind)
         arrays[f"{prefix}clock"] = np.array(clock_row)
@@ -63,7 +63,7 @@ def open_states(path: Path) -> Iterator[SavedStates]:
     try:
         with Archives() as archives:
             has_format = archives.has(path, "format")
-            if not has_format or archives.text(path, "format") != FORMAT:
+            if not has_format or archives.text(path, "format") != STATE_FORMAT:
                 message = "is not a file of saved states"
                 raise FormatError(Fault("SIM035", message, str(path)))
             yield SavedStates(archives, path)
@@ -80,7 +80,7 @@ class SavedStates:
 
     @property
     def names(self) -> list[str]:
-        """Names of the states."""
+        """Names of the saved states; a single state has an empty name."""
         names = [name.rpartition("/") for name in self.archives.names(self.path)]
         return [prefix for prefix, _, key in names if key == "clock"]
 
@@ -109,7 +109,7 @@ class SavedStates:
         _collect_metadata(initial.state, metadata)
         saved_names = archives.text(path, f"{prefix}state")
         names_in_file = set(saved_names.split(", "))
-        missing_names = metadata.added - names_in_file
+        missing_names = metadata.added_names - names_in_file
         names = sorted(
             (expected_arrays.keys() - missing_names)
             | {n for n in names_in_file if metadata.starts_as_none(n)}
@@ -123,7 +123,7 @@ class SavedStates:
         for key in names:
             values = arrays[key] = archives.load_stored(path, f"{prefix}state/{key}")
             expected_array = expected_arrays.get(key, values)
-            axis = metadata.axes.get(key)
+            axis = metadata.growing_axes.get(key)
             problem = _array_problem(values, expected_array, axis)
             if problem:
                 raise mismatch(f"{key} {problem}")
@@ -141,40 +141,44 @@ class SavedStates:
             raise mismatch(f"its state has {saved_names}: {error}") from error
 
 
-def _clock_problem(saved_clock: FloatArray, expected: StateClock) -> Sequence[str]:
+def _clock_problem(
+    saved_clock: FloatArray, expected_clock: StateClock
+) -> Sequence[str]:
     """Return why a saved clock does not match, and a hint; empty if it does."""
     if (
         saved_clock.shape != (3,)
-        or not 0 <= saved_clock[2] <= MAX_STEPS
+        or not 0 <= saved_clock[2] <= MAX_EXACT_INTEGER
         or saved_clock[2] % 1
     ):
         return ["its clock is not a start, a step and a count"]
     begin, step, _ = saved_clock.tolist()
-    if math.isclose(begin, expected.begin) and math.isclose(step, expected.step):
+    if math.isclose(begin, expected_clock.begin) and math.isclose(
+        step, expected_clock.step
+    ):
         return ()
     message = f"its steps of {step:g} s start at {begin:g} s, but those of the scene, "
-    message += f"of {expected.step:g} s, start at {expected.begin:g} s"
+    message += f"of {expected_clock.step:g} s, start at {expected_clock.begin:g} s"
     return [message, "keep the step and the pre-roll it was saved with"]
 
 
 def _array_problem(
-    values: npt.NDArray[Any], expected: npt.NDArray[Any], axis: int | None
+    values: npt.NDArray[Any], expected_array: npt.NDArray[Any], axis: int | None
 ) -> str:
     """Return why a saved array is invalid; empty if it is not.
 
     Its length may differ from that of the expected array along ``axis``.
     """
-    shape = list(expected.shape)
-    if axis is not None and values.ndim == expected.ndim:
+    shape = list(expected_array.shape)
+    if axis is not None and values.ndim == expected_array.ndim:
         shape[axis] = values.shape[axis]
-    if values.shape != (*shape,) or values.dtype.kind != expected.dtype.kind:
+    if values.shape != (*shape,) or values.dtype.kind != expected_array.dtype.kind:
         text = f"is {values.dtype} of shape {values.shape}, but in the scene "
-        return f"{text}{expected.dtype} of shape {expected.shape}"
+        return f"{text}{expected_array.dtype} of shape {expected_array.shape}"
     # Particles without a lifetime have an infinite time of death.
     is_valid = np.isfinite(values) if axis is None else ~np.isnan(values)
-    if expected.dtype.kind == "f" and not is_valid.all():
+    if expected_array.dtype.kind == "f" and not is_valid.all():
         return "contains a number that is not finite"
-    if not _is_in_bounds(values, expected):
+    if not _is_in_bounds(values, expected_array):
         return "contains a number that is out of bounds"
     return ""
 
@@ -188,20 +192,21 @@ def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
         return bool(magnitudes.max(initial=0.0) <= MAX_MAGNITUDE)
     if template.ndim or template.dtype.kind not in "iu":
         return True
-    return -1 <= int(values) <= MAX_STEPS
+    return -1 <= int(values) <= MAX_EXACT_INTEGER
 
 
 @dataclass(frozen=True, slots=True)
 class _FieldMetadata:
-    """Metadata of state fields by name, from `growing`, `later` and `added`."""
+    """Metadata of state fields, by the name of the field."""
 
-    axes: dict[str, int] = field(default_factory=dict)  # fields marked `growing`
-    later: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)  # `later`
-    added: set[str] = field(default_factory=set)  # fields marked `added`
+    growing_axes: dict[str, int] = field(default_factory=dict)  # of `growing_field`
+    # Types of each `field_set_later`.
+    later_types: dict[str, tuple[type[Any], ...]] = field(default_factory=dict)
+    added_names: set[str] = field(default_factory=set)  # of `field_added_later`
 
     def starts_as_none(self, name: str) -> bool:
         """Return whether an array belongs to a field that starts as None."""
-        return any(f"{name}.".startswith(f"{prefix}.") for prefix in self.later)
+        return any(f"{name}.".startswith(f"{prefix}.") for prefix in self.later_types)
 
 
 def _collect_metadata(
@@ -209,16 +214,16 @@ def _collect_metadata(
 ) -> None:
     """Collect the metadata of a state's fields, nested records included."""
     if axis is not None:
-        metadata.axes[prefix] = axis
+        metadata.growing_axes[prefix] = axis
     state_fields = fields(state) if is_dataclass(state) else ()
-    for entry in state_fields:
-        name = f"{prefix}.{entry.name}" if prefix else entry.name
-        if "later" in entry.metadata:
-            metadata.later[name] = entry.metadata["later"]
-        if "added" in entry.metadata:
-            metadata.added.add(name)
-        grow_axis = entry.metadata.get("grows", axis)
-        _collect_metadata(getattr(state, entry.name), metadata, name, grow_axis)
+    for state_field in state_fields:
+        name = f"{prefix}.{state_field.name}" if prefix else state_field.name
+        if "later" in state_field.metadata:
+            metadata.later_types[name] = state_field.metadata["later"]
+        if "added" in state_field.metadata:
+            metadata.added_names.add(name)
+        grow_axis = state_field.metadata.get("grows", axis)
+        _collect_metadata(getattr(state, state_field.name), metadata, name, grow_axis)
 
 
 def _names_text(names: Collection[str]) -> str:
@@ -245,15 +250,18 @@ def _fields_by_name(state: Any) -> dict[str, Any]:
     """Return the fields of a record, or the items of a mapping."""
     if isinstance(state, Mapping):
         return dict(state)
-    return {entry.name: getattr(state, entry.name) for entry in fields(state)}
+    return {
+        state_field.name: getattr(state, state_field.name)
+        for state_field in fields(state)
+    }
 
 
 def _restore(
     template: Any, arrays: _Arrays, metadata: _FieldMetadata, prefix: str = ""
 ) -> Any:
     """Restore a state with the structure of a template from arrays by name."""
-    if prefix in metadata.later:
-        return _read_missing(arrays, metadata.later[prefix], prefix)
+    if prefix in metadata.later_types:
+        return _restore_unset_field(arrays, metadata.later_types[prefix], prefix)
     if template is None:
         return None
     if isinstance(template, Mapping) or is_dataclass(template):
@@ -267,7 +275,7 @@ def _restore(
     return array if isinstance(template, np.ndarray) else type(template)(array.item())
 
 
-def _read_missing(
+def _restore_unset_field(
     arrays: _Arrays, record_types: Sequence[type[Any]], prefix: str
 ) -> Any:
     """Return the value of a field that starts as None; None without arrays."""
@@ -286,9 +294,11 @@ def _read_missing(
         if record is np.ndarray:
             continue
         hints = get_type_hints(record)
-        types = {
+        expected_types = {
             name: float if hint is float else np.ndarray for name, hint in hints.items()
         }
-        if {name: type(entry) for name, entry in values_by_name.items()} == types:
+        if {
+            name: type(entry) for name, entry in values_by_name.items()
+        } == expected_types:
             return record(**values_by_name)
     raise TypeError(f"{prefix} belongs to another method")

@@ -50,7 +50,7 @@ class Diagnostics:
 
 
 @dataclass(frozen=True, slots=True)
-class Stepped(Generic[State]):
+class SteppedState(Generic[State]):
     """A state after a step, with impulses on bodies of other systems, and warnings."""
 
     state: State
@@ -60,7 +60,7 @@ class Stepped(Generic[State]):
 
 @dataclass(frozen=True, slots=True)
 class SimContext:
-    """What a kind needs to build a simulation.
+    """Inputs of the function that builds a simulation from its spec.
 
     Attributes:
         begin: Time of the first step [s].
@@ -109,15 +109,15 @@ class Simulation(Protocol[State]):
 
     With an attribute ``checked``, True, its steps raise if numbers are not finite
     (SIM102), and frames are not checked for that. Optional protocols:
-    `ManySteps`, `Joined`, `NeedsFinalState`, `Resumed`, `Tried` and, as a collider of
-    others, `RigidSystem` or `HasCollisionSurface`. An attribute ``step_length`` [s]
-    overrides the step.
+    `ManySteps`, `HasEntryViews`, `NeedsFinalState`, `ChecksResumedState`,
+    `HasTrialSettings` and, as a collider of others, `RigidSystem` or
+    `HasCollisionSurface`. An attribute ``step_length`` [s] overrides the step.
     """
 
     def initial(self) -> State:
         """Return the state at the time of the first step."""
 
-    def step(self, state: State, t: float, dt: float) -> State | Stepped[State]:
+    def step(self, state: State, t: float, dt: float) -> State | SteppedState[State]:
         """Return a new state, a step [s] after a time [s].
 
         Also returns impulses on bodies of other systems, if there are any.
@@ -134,12 +134,14 @@ class Simulation(Protocol[State]):
 class ManySteps(Protocol[State]):
     """A simulation that takes many steps in one call, equal to single steps."""
 
-    def steps(self, state: State, t: float, dt: float, count: int) -> Stepped[State]:
+    def steps(
+        self, state: State, t: float, dt: float, count: int
+    ) -> SteppedState[State]:
         """Return the state after ``count`` full steps [s] from a time [s]."""
 
 
 @runtime_checkable
-class Joined(Protocol[State_contra]):
+class HasEntryViews(Protocol[State_contra]):
     """A simulation of several joined scene entries."""
 
     @property
@@ -155,12 +157,12 @@ class NeedsFinalState(Protocol[State_contra]):
     def needs_final_state(self) -> bool:
         """Whether frames depend on the final state."""
 
-    def set_final_state(self, last: State_contra) -> None:
+    def set_final_state(self, final_state: State_contra) -> None:
         """Set the final state, before the first frame is requested."""
 
 
 @runtime_checkable
-class Resumed(Protocol[State_contra]):
+class ChecksResumedState(Protocol[State_contra]):
     """A simulation with additional checks of resumed states."""
 
     def incompatibility(self, state: State_contra, t: float) -> str:
@@ -169,9 +171,9 @@ class Resumed(Protocol[State_contra]):
 
 @dataclass(frozen=True, slots=True)
 class TrialSettings:
-    """Settings of a work-precision table of a system."""
+    """Settings and references that a work-precision table compares."""
 
-    chosen: Setting  # the setting of the spec
+    configured_setting: Setting  # the setting of the spec
     settings: Callable[[], list[Setting]]  # as in `Trial`
     references: Callable[[], list[list[Setting]]]  # as in `Trial`
     # Maps a setting to the keys of the spec that it changes.
@@ -179,7 +181,7 @@ class TrialSettings:
 
 
 @runtime_checkable
-class Tried(Protocol):
+class HasTrialSettings(Protocol):
     """A simulation that provides the settings of its work-precision table."""
 
     def trial_settings(self) -> TrialSettings:
@@ -189,20 +191,20 @@ class Tried(Protocol):
 # Metadata of fields of a state, so that it can be saved and resumed.
 
 
-def growing(axis: int = 0) -> dict[str, Any]:
+def growing_field(axis: int = 0) -> dict[str, Any]:
     """Mark a field whose arrays grow along an axis, in step with all such fields."""
     return {"grows": axis}
 
 
-def later(*records: type[Any]) -> dict[str, Any]:
+def field_set_later(*record_types: type[Any]) -> dict[str, Any]:
     """Mark a field that starts as None and is a number or a record later.
 
     ``np.ndarray`` allows an array.
     """
-    return {"later": records}
+    return {"later": record_types}
 
 
-def added() -> dict[str, Any]:
+def field_added_later() -> dict[str, Any]:
     """Mark a field that older state files lack; it keeps its initial value then."""
     return {"added": True}
 

@@ -31,10 +31,11 @@ class SystemSpec(FileModel):
     Attributes:
         methods: Choices of its key ``method``, if it adds one; ``--table`` compares
             them with several steps or tolerances. None is every integrator.
-        exact: Reference integrator of a table, used with finer steps; empty is the
-            configured one.
+        reference_method: Reference integrator of a table, used with finer steps; empty
+            is the configured one.
         method_key: Key that names the method, if there is one.
-        tried: Whether its simulation provides settings for a table (`Tried`).
+        has_trial_settings: Whether its simulation provides settings for a table
+            (`HasTrialSettings`).
         components: Keys whose entries `counts` counts.
         counted_keys: Keys whose entries `reads` counts.
         code: Code of the faults from `problems`; SIM032 is conflicting options.
@@ -42,9 +43,9 @@ class SystemSpec(FileModel):
     """
 
     methods: ClassVar[Sequence[str] | None] = ()
-    exact: ClassVar[str] = ""
+    reference_method: ClassVar[str] = ""
     method_key: ClassVar[str] = "method"
-    tried: ClassVar[bool] = False
+    has_trial_settings: ClassVar[bool] = False
     components: ClassVar[Sequence[str]] = ()
     counted_keys: ClassVar[Sequence[str]] = ("forces",)
     code: ClassVar[str] = "SIM032"
@@ -77,12 +78,12 @@ class SystemSpec(FileModel):
 
     @property
     def title(self) -> str:
-        """Title for messages."""
+        """Name of the entry in messages."""
         return self.name
 
     @property
     def reads(self) -> list[str]:
-        """Numbers of external forces by kind, as text; without colliders."""
+        """External inputs as text, such as ``2 forces``; colliders are not included."""
         counts = {name: len(getattr(self, name, ())) for name in self.counted_keys}
         return [counted(n, name.removesuffix("s")) for name, n in counts.items() if n]
 
@@ -92,14 +93,14 @@ class SystemSpec(FileModel):
         counts = {name: len(getattr(self, name)) for name in self.components}
         return {name: count for name, count in counts.items() if count}
 
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
+    def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
         """Return the faults of conflicting keys, with the key as ``where``.
 
-        ``parts`` is the data read for the keys, as in a `SimContext`.
+        ``entry_data`` is the data read for the keys, as in a `SimContext`.
         """
         faults = [
-            Fault(self.code, message, hint=hint, where=where)
-            for message, where, hint in self.problems()
+            Fault(self.code, message, hint=hint, where=location)
+            for message, location, hint in self.problems()
         ]
         colour = getattr(self, "colour", None)
         return faults + (colour.faults(self.quantities, self.code) if colour else [])
@@ -108,12 +109,15 @@ class SystemSpec(FileModel):
         """Yield conflicts between keys that need no other files to detect."""
         yield from ()
 
-    def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:  # noqa: ARG002
+    def build_record(
+        self,
+        entry_data: Mapping[str, Any],  # noqa: ARG002
+    ) -> tuple[Any, Sequence[Fault]]:
         """Return the record and the faults of the entry when the file is read.
 
         A kind with properties beyond its keys, or that can be joined to others, returns
         an `EntryRecord`, or None if it cannot be built; `build` gets it from
-        `SimContext.members`. ``parts`` is the data read for the keys, as in a
+        `SimContext.members`. ``entry_data`` is the data read for the keys, as in a
         `SimContext`; data that cannot be read is None.
         """
         return None, ()
@@ -163,15 +167,15 @@ class PinnedPoints:
 
 
 class EntryRecord(Protocol):
-    """Properties of an entry after reading."""
+    """Properties of an entry that are known once its files are read."""
 
     @property
     def title(self) -> str:
-        """Title for messages."""
+        """Name of the entry in messages."""
 
     @property
     def reads(self) -> Sequence[str]:
-        """Numbers of external forces by kind, as text; without colliders."""
+        """External inputs as text, such as ``2 forces``; colliders are not included."""
 
     @property
     def counts(self) -> dict[str, int]:

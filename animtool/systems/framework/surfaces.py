@@ -41,7 +41,7 @@ class SystemBodies:
     """Names, masses and shapes of B rigid bodies, for other systems."""
 
     names: Sequence[str]  # (B,)
-    dynamic: IntArray  # indices of dynamic bodies (count,)
+    dynamic_indices: IntArray  # indices of dynamic bodies (count,)
     masses: FloatArray  # masses of dynamic bodies (count,) [kg]
     bounding_radii: Sequence[float]  # about the centres of mass (B,) [m]
     shapes: Sequence[Collider]  # shapes of all bodies (C,)
@@ -49,14 +49,14 @@ class SystemBodies:
 
     @property
     def count(self) -> int:
-        """Number of dynamic bodies."""
-        return len(self.dynamic)
+        """Number of dynamic bodies, which other systems can push."""
+        return len(self.dynamic_indices)
 
     @property
     def owners(self) -> IntArray:
         """Index of each shape's body among the dynamic bodies (C,); -1 if kinematic."""
         numbers = np.full(len(self.names), -1)
-        numbers[self.dynamic] = np.arange(self.count)
+        numbers[self.dynamic_indices] = np.arange(self.count)
         return numbers[self.shape_bodies]
 
 
@@ -95,10 +95,10 @@ class RigidSystem(Protocol):
     def inverse_masses(
         self, state: Any, owners: IntArray, points: FloatArray, directions: FloatArray
     ) -> FloatArray:
-        """Return inverse effective masses, as `MovingBodies` does."""
+        """Return inverse effective masses of bodies at points ``(K,)`` [1/kg]."""
 
     def inertias(self, state: Any) -> tuple[FloatArray, FloatArray]:
-        """Return centres of mass and inverse inertias, as `MovingBodies` does."""
+        """Return centres ``(count, 3)`` and inverse inertias ``(count, 3, 3)``."""
 
 
 @runtime_checkable
@@ -123,14 +123,14 @@ class _RecentSamples(Generic[Sample]):
     """Caches the samples at the most recently requested times."""
 
     def __init__(self, past_state: Callable[[float], Sample]) -> None:
-        self._sample = past_state
+        self._sample_at = past_state
         self._samples: dict[float, Sample] = {}
 
     def __call__(self, t: float) -> Sample:
         if t not in self._samples:
             while len(self._samples) >= CACHED_TIMES:
                 del self._samples[min(self._samples)]
-            self._samples[t] = self._sample(t)
+            self._samples[t] = self._sample_at(t)
         return self._samples[t]
 
 
@@ -199,20 +199,20 @@ class BodyColliders(_StateObserver):
         if not two_way:
             self.owners, self.count = np.full_like(self.owners, -1), 0
             self.masses = np.zeros(0)
-        self.fastest = 0.0
+        self.max_speed = 0.0
         self._states = _RecentSamples(run.past_state)
         self._poses = _RecentSamples(lambda t: simulation.poses(*self._states(t)))
-        self._begins = _RecentSamples(
+        self._step_start_poses = _RecentSamples(
             lambda t: simulation.poses(*run.past_state(t, with_pushes=True))
         )
         self._pusher_index = 0
 
-    def ends(self, t0: float, t1: float) -> FloatArray:
+    def end_poses(self, t0: float, t1: float) -> FloatArray:
         """Return the poses of shapes at both ends of a step ``(C, 2, 7)``."""
-        ends = np.stack([self._begins(t0), self._poses(t1)], axis=1)
+        ends = np.stack([self._step_start_poses(t0), self._poses(t1)], axis=1)
         if t1 > t0 and len(ends):
             distances = np.linalg.norm(ends[:, 1, :3] - ends[:, 0, :3], axis=1)
-            self.fastest = max(self.fastest, float(distances.max()) / (t1 - t0))
+            self.max_speed = max(self.max_speed, float(distances.max()) / (t1 - t0))
         return ends
 
     def inverse_masses(
@@ -227,14 +227,16 @@ class BodyColliders(_StateObserver):
         return self._simulation.inverse_masses(state, owners, points, directions)
 
     def inertias(
-        self, t: float, *, begins: bool = False
+        self, t: float, *, is_step_start: bool = False
     ) -> tuple[FloatArray, FloatArray]:
         """Return centres ``(count, 3)`` [m] and inverse inertias ``(count, 3, 3)``.
 
         At a time [s], at the start or end of a step; inertias in the world [1/(kg m²)].
         """
         state, _ = (
-            self._run.past_state(t, with_pushes=True) if begins else self._states(t)
+            self._run.past_state(t, with_pushes=True)
+            if is_step_start
+            else self._states(t)
         )
         return self._simulation.inertias(state)
 

@@ -13,12 +13,12 @@ from animtool.core.errors import RefusalCollector, refuse
 from animtool.core.record import dataclass
 from animtool.systems.framework.matter import PointMasses, UnitFrame, normal_samples
 from animtool.systems.molecules.spec import MoleculesModel
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 # Boltzmann's constant [kJ/(mol K)].
-BOLTZMANN = 0.00831446261815324
+BOLTZMANN_CONSTANT = 0.00831446261815324
 # Coulomb constant [kJ nm/(mol e²)].
-COULOMB = 138.935457644
+COULOMB_CONSTANT = 138.935457644
 # Largest total charge of a neutral system [e].
 CHARGE_TOLERANCE = 1e-9
 # Largest number of lattice sites per atom.
@@ -33,7 +33,7 @@ class PeriodicBox:
 
     def __init__(self, spec: MoleculesModel) -> None:
         self.size = np.array(spec.box)  # (3,) [nm]
-        self._frame = UnitFrame.of(spec, spec.scale, spec.pace)
+        self._frame = UnitFrame.from_placement(spec, spec.scale, spec.pace)
         self.velocities_to_local = self._frame.velocities_to_local
         self.velocities_to_scene = self._frame.velocities_to_scene
 
@@ -51,19 +51,21 @@ class PeriodicBox:
 class Atoms(PointMasses):
     """N atoms in the box, in units of nm, ps and u."""
 
-    kinds: npt.NDArray[np.int32]  # (N,)
+    entry_indices: npt.NDArray[np.int32]  # (N,)
     charges: FloatArray  # (N,) [e]
     radii: FloatArray  # (N,) [m]
 
     @staticmethod
-    def of(
-        spec: MoleculesModel, parts: Sequence[Mapping[str, Any]], box: PeriodicBox
+    def from_spec(
+        spec: MoleculesModel,
+        species_data: Sequence[Mapping[str, Any]],
+        box: PeriodicBox,
     ) -> Atoms:
         """Return the atoms of a spec; raise SIM071 if they are invalid."""
         initial_motions, refusals = [], RefusalCollector()
-        for model, part in zip(spec.species, parts, strict=True):
+        for model, atom_data in zip(spec.species, species_data, strict=True):
             with refusals.collect():
-                initial_motions.append(_read_motion(model, part, box))
+                initial_motions.append(_read_motion(model, atom_data, box))
         refusals.check()
         lattice_species = [
             k for k, (points, _) in enumerate(initial_motions) if points is None
@@ -74,18 +76,18 @@ class Atoms(PointMasses):
         points = [np.zeros((0, 3)) if p is None else p for p, _ in initial_motions]
         kinds = np.repeat(np.arange(len(points)), [len(site) for site in points])
 
-        def per_atom(values: list[float]) -> FloatArray:
+        def atom_values(values: list[float]) -> FloatArray:
             return np.array(values, np.float64)[kinds]
 
         radii = [atom.radius or atom.sigma / 2 * spec.scale for atom in spec.species]
-        masses = per_atom([species.mass for species in spec.species])
+        masses = atom_values([species.mass for species in spec.species])
         atoms = Atoms(
             np.concatenate(points),
             _initial_velocities(spec, masses, kinds, [v for _, v in initial_motions]),
             masses,
             kinds.astype(np.int32),
-            per_atom([species.charge for species in spec.species]),
-            per_atom(radii),
+            atom_values([species.charge for species in spec.species]),
+            atom_values(radii),
         )
         total = float(atoms.charges.sum())
         if abs(total) > CHARGE_TOLERANCE:
@@ -98,26 +100,28 @@ class Atoms(PointMasses):
 
 
 def _read_motion(
-    model: Any, parts: Mapping[str, Any], box: PeriodicBox
+    model: Any, arrays: Mapping[str, Any], box: PeriodicBox
 ) -> tuple[FloatArray | None, FloatArray | None]:
     """Return positions [nm] and velocities [nm/ps] from files, or None."""
-    points, velocities = parts.get("points"), parts.get("velocities")
+    points, velocities = arrays.get("points"), arrays.get("velocities")
     if points is None:
         if velocities is not None:
             message = "velocities need points"
             refuse(MoleculesModel.code, message, "species")
         return None, None
-    kind = f"{model.name!r}, atom"
+    atom_label = f"{model.name!r}, atom"
     point_masses = PointMasses.read(
-        parts, model.mass, kind, MoleculesModel.code, "species"
+        arrays, model.mass, atom_label, MoleculesModel.code, "species"
     )
     x = box.to_local(points)
     tolerance = 1e-9 * box.size
     is_outside = ~((x >= -tolerance) & (x <= box.size + tolerance)).all(axis=1)
     if is_outside.any():
         i = int(np.argmax(is_outside))
-        where = ", ".join(f"{value:g}" for value in points[i])
-        message = f"atom {i} of {model.name!r} is outside the box, at ({where}) m"
+        position_text = ", ".join(f"{value:g}" for value in points[i])
+        message = (
+            f"atom {i} of {model.name!r} is outside the box, at ({position_text}) m"
+        )
         hint = "a nanometre is `scale` metres; `at` is the centre"
         refuse(MoleculesModel.code, message, "species", hint)
     if velocities is None:
@@ -138,21 +142,24 @@ def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     if not len(cell_sites) * shape.prod() <= max_sites:
         message = f"{total} atoms do not fill a lattice in a box of {size.tolist()} nm"
         refuse(spec.code, message, "box", "use more equal sides")
-    cells = shape.astype(np.int64)
-    while len(cell_sites) * cells.prod() < total:
-        cells[np.argmax(size / cells)] += 1
-    corners = np.indices(cells).reshape(3, -1).T
+    cell_counts = shape.astype(np.int64)
+    while len(cell_sites) * cell_counts.prod() < total:
+        cell_counts[np.argmax(size / cell_counts)] += 1
+    corners = np.indices(cell_counts).reshape(3, -1).T
     sites = (corners[:, None] + cell_sites).reshape(-1, 3)
     # If there are more sites than atoms, atoms are spread over them evenly.
-    indices = np.arange(total) * len(sites) // total
+    site_indices = np.arange(total) * len(sites) // total
     order = np.arange(total)
     if len(counts) > 1 and spec.lattice == "fcc":
-        randoms = uniforms(spec.seed, np.arange(total), 1)[:, 0]
+        randoms = uniform_samples(spec.seed, np.arange(total), 1)[:, 0]
         order = np.argsort(randoms, kind="stable")
     elif len(counts) > 1:
-        cell_parities = corners[indices].sum(axis=1) % 2
+        cell_parities = corners[site_indices].sum(axis=1) % 2
         order = np.argsort(cell_parities, kind="stable")
-    points = sites[indices][order] / cells * size + (np.array(spec.box) - size) / 2
+    points = (
+        sites[site_indices][order] / cell_counts * size
+        + (np.array(spec.box) - size) / 2
+    )
     return np.split(points, np.cumsum(counts)[:-1])
 
 
@@ -171,12 +178,14 @@ def _initial_velocities(
     count = int(is_thermal.sum())
     if count < 2 or not spec.temperature:
         return velocities
-    u = uniforms(spec.seed + _VELOCITY_SEED, np.flatnonzero(is_thermal), 3)
+    u = uniform_samples(spec.seed + _VELOCITY_SEED, np.flatnonzero(is_thermal), 3)
     m = masses[is_thermal][:, None]
     v = normal_samples(u) / np.sqrt(m)
     v -= (m * v).sum(axis=0) / m.sum()
     mean_square = float((m * v * v).sum()) / (3 * count - 3)
-    velocities[is_thermal] = v * np.sqrt(BOLTZMANN * spec.temperature / mean_square)
+    velocities[is_thermal] = v * np.sqrt(
+        BOLTZMANN_CONSTANT * spec.temperature / mean_square
+    )
     return velocities
 
 

@@ -18,17 +18,17 @@ from animtool.systems.framework.interacting import Interacting
 from animtool.systems.framework.matter import normal_samples
 from animtool.systems.framework.simulation import SimContext, StoppedError
 from animtool.systems.molecules.atoms import (
-    BOLTZMANN,
-    COULOMB,
+    BOLTZMANN_CONSTANT,
+    COULOMB_CONSTANT,
     Atoms,
     PeriodicBox,
     pair_coefficients,
 )
 from animtool.systems.molecules.spec import MoleculesModel, ThermostatModel, TrapModel
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 # Pressure of 1 kJ/(mol nm³) [MPa].
-MEGAPASCALS = 1.66053906717
+MEGAPASCALS_PER_UNIT = 1.66053906717
 # Pair energy, relative to the well depth, above which atoms overlap at the start.
 OVERLAP_ENERGY = 1000.0
 # Largest and recommended step, relative to 1/ω of the stiffest crystal.
@@ -61,7 +61,9 @@ class Interactions:
         self._switch_distance = min(switch_distance, self._cutoff)
         self._skin = max(min(spec.skin, box.size.min() / 2 - self._cutoff), 0.0)
         has_charges = bool(atoms.charges.any())
-        self._charges = atoms.charges * np.sqrt(COULOMB) if has_charges else None
+        self._charges = (
+            atoms.charges * np.sqrt(COULOMB_CONSTANT) if has_charges else None
+        )
         self._damping = spec.damping
         self._neighbour_list: tuple[FloatArray, Any] | None = None
 
@@ -72,8 +74,8 @@ class Interactions:
         if self._charges is None:
             return 0.0
         screened_potential = erfc(self._damping * self._cutoff) / (2 * self._cutoff)
-        per_charge = screened_potential + self._damping / np.sqrt(np.pi)
-        return -float(per_charge * (self._charges**2).sum())
+        energy_per_charge = screened_potential + self._damping / np.sqrt(np.pi)
+        return -float(energy_per_charge * (self._charges**2).sum())
 
     def valid_reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
         """Return ``before`` if its neighbour list is valid at ``x``, else ``x``."""
@@ -97,7 +99,7 @@ class Interactions:
             self._neighbour_list = reference, pairs
         order, starts, partners = self._neighbour_list[1]
         sums = _kernels.molecule_forces(
-            x, order, starts, partners, self._box.size, self._atoms.kinds,
+            x, order, starts, partners, self._box.size, self._atoms.entry_indices,
             self._pair_coefficients, self._charges, self._cutoff,
             self._switch_distance, self._damping,
         )  # fmt: skip
@@ -123,9 +125,9 @@ ListedForces: TypeAlias = tuple[AtomForces, FloatArray]
 def build(spec: MoleculesModel, context: SimContext) -> Molecules:
     """Build the atoms of a spec; raise SIM001, SIM005, SIM006, SIM071 if invalid."""
     box = PeriodicBox(spec)
-    atoms = Atoms.of(spec, context.parts["species"], box)
+    atoms = Atoms.from_spec(spec, context.parts["species"], box)
     molecules = Molecules(spec, context, box, atoms)
-    molecules.begin()
+    molecules.finish_setup()
     return molecules
 
 
@@ -147,10 +149,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
     ) -> None:
         super().__init__(spec, context, "traps", spec.pace)
         self.bodies = self.atoms = atoms
-        self.radii, self.species = self.atoms.radii, self.atoms.kinds
+        self.radii, self.species = self.atoms.radii, self.atoms.entry_indices
         self.has_many_species = len(spec.species) > 1
         self.inertia = self.atoms.masses[:, None]
-        self.written_bodies = np.arange(len(self.species))
+        self.written_indices = np.arange(len(self.species))
         self._periodic_box, self.box = periodic_box, periodic_box.size
         self._interactions = Interactions(spec, self.atoms, periodic_box)
         self._degrees_of_freedom = max(3 * len(self.bodies.masses) - 3, 1)
@@ -158,7 +160,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         # The fastest crystal vibration of all species [rad/ps].
         self._max_frequency = math.sqrt(8 * max(rates))
 
-    def begin(self) -> None:
+    def finish_setup(self) -> None:
         """Check the initial state, and set colour ranges from that state."""
         start, refusals = self.initial(), RefusalCollector()
         with refusals.collect():
@@ -166,7 +168,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         with refusals.collect():
             self._check_distinct(start)
         refusals.check()
-        super().begin()
+        super().finish_setup()
 
     def _check_numbers(self, start: MoleculeState) -> None:
         """Raise SIM071 if the step is too long, or numbers overflow in the scene."""
@@ -192,8 +194,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         x = start.motion[0] % size
         distances, neighbours = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
-        first, second = sorted(neighbours[i].tolist())
-        message = f"atoms {first} and {second} start {distances[i, 1]:.3g} nm apart"
+        first_atom, second_atom = sorted(neighbours[i].tolist())
+        message = (
+            f"atoms {first_atom} and {second_atom} start {distances[i, 1]:.3g} nm apart"
+        )
         hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
@@ -239,9 +243,14 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
             faults = [replace(fault, hint=hint) for fault in error.faults]
             raise StoppedError(faults, error.stats) from None
         distances = np.sqrt((motion[1] * motion[1]).sum(axis=1)) * dt * spec.pace
-        fastest = int(np.argmax(distances))
-        if not distances[fastest] <= MAX_STEP_TRAVEL * self._periodic_box.size.min():
-            reason = f"atom {fastest} moves {distances[fastest]:.3g} nm in a step"
+        fastest_atom = int(np.argmax(distances))
+        if (
+            not distances[fastest_atom]
+            <= MAX_STEP_TRAVEL * self._periodic_box.size.min()
+        ):
+            reason = (
+                f"atom {fastest_atom} moves {distances[fastest_atom]:.3g} nm in a step"
+            )
             self._stop(state, t + dt, reason)
         (forces, reference), heat = system.sums_at(motion[0]), state.heat
         if spec.thermostat is not None:
@@ -268,9 +277,11 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return RECOMMENDED_STEP / max(self._max_frequency * self._time_scale, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
-        internal = float(state.acting.energies.sum()) + self._interactions.self_energy()
-        external = self.external_accelerations(t, state.motion[0])[1]
-        return internal + float(external.sum())
+        internal_energy = (
+            float(state.acting.energies.sum()) + self._interactions.self_energy()
+        )
+        external_energies = self.external_accelerations(t, state.motion[0])[1]
+        return internal_energy + float(external_energies.sum())
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
         x, v = motion
@@ -282,7 +293,9 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         squares = (state.motion[1] ** 2).sum(axis=1)
         return {
             **super()._quantities(state, t),
-            "temperature": lambda: self.bodies.masses * squares / (3 * BOLTZMANN),
+            "temperature": lambda: (
+                self.bodies.masses * squares / (3 * BOLTZMANN_CONSTANT)
+            ),
             "energy": lambda: 0.5 * self.bodies.masses * squares + energies,
         }
 
@@ -292,8 +305,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         pressure = (2 * energy.kinetic + state.acting.virial) / (3 * volume)
         values = {
             "atoms": float(len(self.bodies.masses)),
-            "temperature": 2 * energy.kinetic / (self._degrees_of_freedom * BOLTZMANN),
-            "pressure": pressure * MEGAPASCALS,
+            "temperature": 2
+            * energy.kinetic
+            / (self._degrees_of_freedom * BOLTZMANN_CONSTANT),
+            "pressure": pressure * MEGAPASCALS_PER_UNIT,
             "kinetic_energy": energy.kinetic,
             "potential_energy": energy.potential,
         }
@@ -324,8 +339,8 @@ def thermostat_factor(
     if not kinetic > 0 or degrees_of_freedom < 1:
         return 1.0
     times, temperatures = np.array(model.temperatures).T
-    target = BOLTZMANN * float(np.interp(t, times, temperatures)) / 2
-    randoms = uniforms(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
+    target = BOLTZMANN_CONSTANT * float(np.interp(t, times, temperatures)) / 2
+    randoms = uniform_samples(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
     random, second_random = np.clip(randoms, 2.0**-53, 1 - 2.0**-53)
     normal = float(normal_samples(random))
     # Sum of squares of the other normal samples.

@@ -31,7 +31,7 @@ from animtool.systems.framework.fields import (
 from animtool.systems.framework.spec import SystemSpec
 
 NANOMETRE = 1e-9  # [m]
-FREEZING = 273.15  # 0 °C [K]
+FREEZING_POINT = 273.15  # 0 °C [K]
 # No molecule fits in a box so small, but a box in metres is [nm].
 MAX_METRES = 1e-5
 # The unit of atomic masses [kg]; an electron has 5.5e-4 of it [u].
@@ -209,7 +209,7 @@ class MoleculesModel(PlacementModel, SystemSpec):
         temperatures += [("thermostat", temperature) for _, temperature in rows]
         for name, temperature in temperatures:
             if temperature < 0:
-                kelvin = temperature + FREEZING
+                kelvin = temperature + FREEZING_POINT
                 advice = f"for {temperature:g} °C write {kelvin:g}"
                 message = f"{temperature:g} K is below absolute zero"
                 yield message, name, advice if kelvin > 0 else None

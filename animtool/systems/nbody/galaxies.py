@@ -29,7 +29,7 @@ from animtool.systems.nbody.spec import (
     NbodyModel,
     SpheroidModel,
 )
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 # Number of radii at which profiles are tabulated.
 RADIUS_COUNT = 4096
@@ -46,8 +46,8 @@ class MassProfile:
 
     def __init__(self, galaxy: GalaxyModel, constant: float, softening: float) -> None:
         self.galaxy, self.constant = galaxy, constant
-        max_radius = max((p.radius * p.cutoff for p in galaxy.parts), default=1.0)
-        min_radius = min((p.radius for p in galaxy.parts), default=1.0)
+        max_radius = max((p.radius * p.cutoff for p in galaxy.components), default=1.0)
+        min_radius = min((p.radius for p in galaxy.components), default=1.0)
         self.r = np.geomspace(
             max(1e-4 * min_radius, 1e-250), 4 * max_radius, RADIUS_COUNT
         )
@@ -148,9 +148,9 @@ def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> Poin
         components.append(PointMasses(origin, origin, np.array([galaxy.nucleus])))
     if galaxy.disc is not None:
         components.append(_build_disc(galaxy.disc, profile, galaxy.seed))
-    for number, spheroid in enumerate((galaxy.bulge, galaxy.halo)):
+    for component_index, spheroid in enumerate((galaxy.bulge, galaxy.halo)):
         if spheroid is not None:
-            seed = galaxy.seed + 1000 * (number + 1)
+            seed = galaxy.seed + 1000 * (component_index + 1)
             components.append(_build_spheroid(spheroid, profile, seed))
     bodies = PointMasses.concatenate(components)
     # Its centre of mass is at the position and velocity of the file.
@@ -163,7 +163,7 @@ def _build_spheroid(
     spheroid: SpheroidModel, profile: MassProfile, seed: int
 ) -> PointMasses:
     """Return the bodies of a spheroid about its centre."""
-    u = uniforms(seed, np.arange(spheroid.count), 6)
+    u = uniform_samples(seed, np.arange(spheroid.count), 6)
     masses_inside = enclosed_mass(spheroid, profile.r)
     r = np.interp(u[:, 0] * spheroid.mass, masses_inside, profile.r)
     sigma = np.interp(r, profile.r, profile.velocity_dispersion(spheroid))
@@ -178,7 +178,7 @@ def _build_spheroid(
 
 def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses:
     """Return the bodies of a disc about its centre."""
-    u = uniforms(seed, np.arange(disc.count), 6)
+    u = uniform_samples(seed, np.arange(disc.count), 6)
     r = np.interp(u[:, 0] * disc.mass, enclosed_mass(disc, profile.r), profile.r)
     angles = 2 * np.pi * u[:, 1]
     scale_height = disc.thickness * disc.radius
@@ -211,8 +211,8 @@ def disc_velocities(
     squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
     epicyclic_frequency = np.sqrt(np.maximum(squares, 1e-300))
     surface_densities = surface_density(disc, r)
-    factor = disc.stability * TOOMRE_CONSTANT * profile.constant
-    radial = factor * surface_densities / epicyclic_frequency
+    toomre_factor = disc.stability * TOOMRE_CONSTANT * profile.constant
+    radial = toomre_factor * surface_densities / epicyclic_frequency
     radial = np.minimum(radial, MAX_DISPERSION_RATIO * circular)
     ratio = epicyclic_frequency / np.maximum(2 * angular_velocity, 1e-300)
     squared_drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)

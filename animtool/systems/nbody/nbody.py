@@ -84,7 +84,7 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
     refusals.check()
     nbody = Nbody(spec, context, [*body_sets, *build_galaxies(spec)])
     _check_start(spec, nbody.bodies)
-    nbody.begin()
+    nbody.finish_setup()
     return nbody
 
 
@@ -124,10 +124,10 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         hidden_counts = [0] * len(spec.bodies)
         hidden_counts += [galaxy.hidden_count for galaxy in spec.galaxies]
         is_visible = [
-            np.arange(count) < count - hidden
-            for count, hidden in zip(counts, hidden_counts, strict=True)
+            np.arange(count) < count - hidden_count
+            for count, hidden_count in zip(counts, hidden_counts, strict=True)
         ]
-        self.written_bodies = np.flatnonzero(np.concatenate(is_visible))
+        self.written_indices = np.flatnonzero(np.concatenate(is_visible))
         accuracy_factor = CROSSOVER_ACCURACY / max(spec.accuracy, MIN_TREE_ACCURACY)
         min_bodies = TREE_MIN_BODIES * accuracy_factor**CROSSOVER_POWER
         is_large = len(self.bodies.masses) > min_bodies
@@ -162,7 +162,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         potentials = self._spec.gravity_constant * attractor.mass / distances
         return (potentials / distances**2)[:, None] * offsets, -potentials
 
-    def suspect(self, x: FloatArray, sums: MutualGravity) -> str:
+    def suspected_cause(self, x: FloatArray, sums: MutualGravity) -> str:
         """Return the pair of bodies with the fastest orbit, as text for messages."""
         return self._fastest_pair(x, sums.rates)[1] if len(x) > 1 else ""
 
@@ -183,21 +183,21 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
 
         The step is split into substeps if two bodies come too close for one step.
         """
-        substeps = self._substeps_for(state.pulls.rates, dt)
+        substep_count = self._required_substeps(state.pulls.rates, dt)
         encounter = CloseEncounterError(t, state.motion[0], state.pulls.rates)
-        while substeps <= self._spec.substeps:
+        while substep_count <= self._spec.substeps:
             limit, step = math.inf, dt
             if self._has_fixed_steps:
-                limit = (RATE_TOLERANCE * self._max_phase * substeps / dt) ** 2
-                step = dt / substeps
+                limit = (RATE_TOLERANCE * self._max_phase * substep_count / dt) ** 2
+                step = dt / substep_count
             system = self._system(state, partial(_check_closest_pair, limit))
             try:
                 motion = self._integrate(system, t, dt, step)
             except CloseEncounterError as error:
-                substeps, encounter = 2 * substeps, error
+                substep_count, encounter = 2 * substep_count, error
                 continue
-            encounters = state.encounters + (substeps > 1)
-            max_substeps = max(state.divided, substeps)
+            encounters = state.encounters + (substep_count > 1)
+            max_substeps = max(state.divided, substep_count)
             next_state = NbodyState(
                 motion, system.sums_at(motion[0]), encounters, max_substeps
             )
@@ -205,7 +205,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
             return next_state
         raise self._encounter_error(dt, *encounter.args)
 
-    def _substeps_for(self, rates: FloatArray, dt: float) -> int:
+    def _required_substeps(self, rates: FloatArray, dt: float) -> int:
         """Return the substep count that resolves the closest pair, a power of two."""
         if not self._has_fixed_steps or not len(rates):
             return 1
@@ -219,11 +219,13 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         self, dt: float, t: float, x: FloatArray, rates: FloatArray
     ) -> StoppedError:
         """Return an error if the finest substeps do not resolve a pair."""
-        (mass, pair), substeps = self._fastest_pair(x, rates), self._spec.substeps
-        message = f"{pair} at {t:.6g} s, too close for steps of {dt / substeps:.3g} s"
-        max_rate = (MAX_PHASE * substeps / dt) ** 2
-        softening = (self._spec.gravity_constant * mass / max_rate) ** (1 / 3)
-        hint = f"use softening: {1.05 * softening:.3g}, or more substeps"
+        (mass, pair), max_substeps = self._fastest_pair(x, rates), self._spec.substeps
+        message = (
+            f"{pair} at {t:.6g} s, too close for steps of {dt / max_substeps:.3g} s"
+        )
+        max_rate = (MAX_PHASE * max_substeps / dt) ** 2
+        softening_length = (self._spec.gravity_constant * mass / max_rate) ** (1 / 3)
+        hint = f"use softening: {1.05 * softening_length:.3g}, or more substeps"
         return StoppedError([Fault("SIM110", message, hint=hint)])
 
     def _exchanged_energy(self, state: NbodyState, energy: Energy) -> float:  # noqa: ARG002
@@ -279,9 +281,13 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def _force_error(self, x: FloatArray, pulls: MutualGravity) -> float:
         """Return the relative force error of the tree, from sampled bodies [1]."""
         sampled_bodies = np.linspace(0, len(x) - 1, ERROR_SAMPLES).astype(int)
-        exact = np.array([self._direct_sum(x, x[i]) for i in sampled_bodies])
-        errors = np.linalg.norm(pulls.accelerations[sampled_bodies] - exact, axis=1)
-        magnitudes = np.maximum(np.linalg.norm(exact, axis=1), 1e-300)
+        exact_accelerations = np.array(
+            [self._direct_sum(x, x[i]) for i in sampled_bodies]
+        )
+        errors = np.linalg.norm(
+            pulls.accelerations[sampled_bodies] - exact_accelerations, axis=1
+        )
+        magnitudes = np.maximum(np.linalg.norm(exact_accelerations, axis=1), 1e-300)
         return float(np.sqrt(((errors / magnitudes) ** 2).mean()))
 
     def _direct_sum(self, x: FloatArray, position: FloatArray) -> FloatArray:

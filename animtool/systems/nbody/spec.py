@@ -109,7 +109,7 @@ class GalaxyModel(PlacementModel):
     radius: NotNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
 
     @property
-    def parts(self) -> list[DiscModel | SpheroidModel]:
+    def components(self) -> list[DiscModel | SpheroidModel]:
         """Components of the galaxy, the halo last."""
         components = (self.disc, self.bulge, self.halo)
         return [component for component in components if component is not None]
@@ -208,7 +208,7 @@ class NbodyModel(SystemSpec):
             hint = "galaxies: [{name: disc, disc: {count: 5000, mass: 1, radius: 1}}]"
             yield "it has no bodies", None, hint
         for galaxy in self.galaxies:
-            if not galaxy.parts and not galaxy.nucleus:
+            if not galaxy.components and not galaxy.nucleus:
                 hint = "add a disc, a bulge, a halo or a nucleus"
                 yield f"galaxy {galaxy.name!r} has no bodies", "galaxies", hint
         orbit, count = self.encounter, len(self.galaxies)

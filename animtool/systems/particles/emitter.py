@@ -37,10 +37,11 @@ def hash64(
     return np.asarray(z ^ (z >> np.uint64(31)))
 
 
-def uniforms(seed: int, keys: IntArray, count: int) -> FloatArray:
+def uniform_samples(seed: int, keys: IntArray, count: int) -> FloatArray:
     """Return random numbers in [0, 1) that depend on a seed and keys ``(N, count)``.
 
-    >>> bool((uniforms(1, np.arange(9), 2)[7] == uniforms(1, np.array([7]), 2)).all())
+    >>> samples = uniform_samples(1, np.arange(9), 2)
+    >>> bool((samples[7] == uniform_samples(1, np.array([7]), 2)).all())
     True
     """
     start = hash64(np.array([seed % 2**64], np.uint64))
@@ -134,7 +135,7 @@ class Emitter(Emission, CheckedRecord):
         self, births: Births
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions, velocities ``(N, 3)``, lifetimes and radii ``(N,)``."""
-        randoms = uniforms(self.seed, births.keys, _RANDOM_COUNT)
+        randoms = uniform_samples(self.seed, births.keys, _RANDOM_COUNT)
         points, outwards = self.place.points(randoms[:, :3])
         directions = self._directions(randoms[:, 3:5], outwards)
         speeds = self.speed + self.speed_spread * (2 * randoms[:, 5] - 1)
@@ -163,8 +164,8 @@ class Emitter(Emission, CheckedRecord):
         height = 1 - randoms[:, :1] * (1 - math.cos(self.spread))
         radius = np.sqrt(np.maximum(1 - height * height, 0))
         angle = 2 * np.pi * randoms[:, 1:]
-        smallest_axes = np.argmin(np.abs(axes), axis=1)
-        first_tangent = np.cross(axes, np.eye(3)[smallest_axes])
+        smallest_axis_indices = np.argmin(np.abs(axes), axis=1)
+        first_tangent = np.cross(axes, np.eye(3)[smallest_axis_indices])
         first_tangent /= np.linalg.norm(first_tangent, axis=1)[:, None]
         second_tangent = np.cross(axes, first_tangent)
         radial = first_tangent * np.cos(angle) + second_tangent * np.sin(angle)

@@ -34,9 +34,9 @@ class _RangeChecked:
 class Point(_RangeChecked):
     """Emits from the origin of the emitter's frame."""
 
-    def points(self, uniforms: FloatArray) -> PointsAndNormals:
+    def points(self, uniform_values: FloatArray) -> PointsAndNormals:
         """Return points from random numbers in [0, 1) ``(N, 3)``."""
-        return np.zeros((len(uniforms), 3)), None
+        return np.zeros((len(uniform_values), 3)), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,11 +49,11 @@ class Disc(_RangeChecked):
 
     radius: Radius
 
-    def points(self, uniforms: FloatArray) -> PointsAndNormals:
+    def points(self, uniform_values: FloatArray) -> PointsAndNormals:
         """Return random points, uniform by area."""
-        radius = self.radius * np.sqrt(uniforms[:, 0])
-        angle = 2 * np.pi * uniforms[:, 1]
-        heights = np.zeros(len(uniforms))
+        radius = self.radius * np.sqrt(uniform_values[:, 0])
+        angle = 2 * np.pi * uniform_values[:, 1]
+        heights = np.zeros(len(uniform_values))
         x, z = radius * np.cos(angle), radius * np.sin(angle)
         return np.stack([x, heights, z], axis=1), None
 
@@ -70,16 +70,16 @@ class SphereShape(_RangeChecked):
     radius: Radius
     hollow: bool = False
 
-    def points(self, uniforms: FloatArray) -> PointsAndNormals:
+    def points(self, uniform_values: FloatArray) -> PointsAndNormals:
         """Return random points, uniform by volume or by area."""
-        height = 2 * uniforms[:, 0] - 1
+        height = 2 * uniform_values[:, 0] - 1
         radius = np.sqrt(np.maximum(1 - height * height, 0))
-        angle = 2 * np.pi * uniforms[:, 1]
+        angle = 2 * np.pi * uniform_values[:, 1]
         x, z = radius * np.cos(angle), radius * np.sin(angle)
         normals = np.stack([x, height, z], axis=1)
         if self.hollow:
             return normals * self.radius, normals
-        return normals * (self.radius * np.cbrt(uniforms[:, 2:])), None
+        return normals * (self.radius * np.cbrt(uniform_values[:, 2:])), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +95,9 @@ class BoxShape(_RangeChecked):
         Range("three numbers of 0 or more", "SIM021", 0.0, finite=True, count=3),
     ]
 
-    def points(self, uniforms: FloatArray) -> PointsAndNormals:
+    def points(self, uniform_values: FloatArray) -> PointsAndNormals:
         """Return random points, uniform by volume."""
-        return (uniforms - 0.5) * np.asarray(self.size, np.float64), None
+        return (uniform_values - 0.5) * np.asarray(self.size, np.float64), None
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,23 +110,23 @@ class MeshSurface:
 
     mesh: Mesh
 
-    def points(self, uniforms: FloatArray) -> PointsAndNormals:
+    def points(self, uniform_values: FloatArray) -> PointsAndNormals:
         """Return random points, uniform by area, and outward normals."""
         points, corners = self.mesh.weld()
         a, b, c = points[corners].swapaxes(0, 1)
         normals = np.cross(b - a, c - a)
         areas = np.linalg.norm(normals, axis=1)
-        cumulative = np.cumsum(areas)
-        samples = uniforms[:, 0] * cumulative[-1]
-        faces = np.searchsorted(cumulative, samples, side="right")
-        faces = np.minimum(faces, len(areas) - 1)
+        cumulative_areas = np.cumsum(areas)
+        samples = uniform_values[:, 0] * cumulative_areas[-1]
+        face_indices = np.searchsorted(cumulative_areas, samples, side="right")
+        face_indices = np.minimum(face_indices, len(areas) - 1)
         # Folded along the diagonal, the unit square is a triangle.
-        u, v = uniforms[:, 1], uniforms[:, 2]
+        u, v = uniform_values[:, 1], uniform_values[:, 2]
         is_outside = u + v > 1
         u = np.where(is_outside, 1 - u, u)[:, None]
         v = np.where(is_outside, 1 - v, v)[:, None]
-        points = a[faces] + u * (b - a)[faces] + v * (c - a)[faces]
-        return points, normals[faces] / areas[faces, None]
+        points = a[face_indices] + u * (b - a)[face_indices] + v * (c - a)[face_indices]
+        return points, normals[face_indices] / areas[face_indices, None]
 
     def faults(self) -> list[str]:
         """Return a message for each invalid value."""

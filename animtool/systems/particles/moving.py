@@ -8,7 +8,12 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.sim.colliders.bodies import Wrenches, exchange_impulses
-from animtool.sim.colliders.colliding import Collided, Colliders, Contacts, collide
+from animtool.sim.colliders.colliding import (
+    Colliders,
+    CollisionResult,
+    Contacts,
+    collide,
+)
 from animtool.sim.system import Energy, FirstOrder, SecondOrder
 from animtool.systems.particles.setup import Particles
 from animtool.systems.particles.state import ParticleState
@@ -34,7 +39,7 @@ class _ParticleSystem:
 
     @property
     def state(self) -> FloatArray:
-        """The initial state."""
+        """State at the start of the step: positions, and velocities with forces."""
         return self._state
 
 
@@ -58,20 +63,24 @@ class ParticleForces(_ParticleSystem, SecondOrder):
         return self._exchange_momentum(t, h, after, collision)
 
     def _exchange_momentum(
-        self, t: float, h: float, without_contacts: FloatArray, collision: Collided
+        self,
+        t: float,
+        h: float,
+        without_contacts: FloatArray,
+        collision: CollisionResult,
     ) -> FloatArray:
         """Return the state after contacts exchanged momentum with bodies."""
         state = np.stack([collision.points, collision.velocities])
-        first_collider = len(self._colliders)
+        static_count = len(self._colliders)
         for i, system in enumerate(self._colliders.bodies):
-            shapes = collision.contacts.colliders - first_collider
-            shapes[shapes >= len(system.colliders)] = -1
-            first_collider += len(system.colliders)
+            shape_indices = collision.contacts.colliders - static_count
+            shape_indices[shape_indices >= len(system.colliders)] = -1
+            static_count += len(system.colliders)
             if not system.count:
                 continue
             masses = self.particles.masses
             state, wrenches = exchange_impulses(
-                system, t, shapes, without_contacts, state, masses
+                system, t, shape_indices, without_contacts, state, masses
             )
             self.wrenches[i] = Wrenches.sum([self.wrenches[i].delayed_by(h), wrenches])
         return state
@@ -86,7 +95,7 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             if not has_all_potentials:
                 return None
             kinetic, potential = energies.sum(axis=1).tolist()
-            supply = float(self.particles.masses.sum()) * self._colliders.fastest**2
+            supply = float(self.particles.masses.sum()) * self._colliders.max_speed**2
         return Energy(kinetic, potential, supply)
 
     def frequencies(self, t: float, state: FloatArray) -> FloatArray | None:  # noqa: ARG002
@@ -95,8 +104,10 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             return None
         # A numpy number: division by a mass of 0 in a resumed state must not raise.
         forces, mass = self.setup.forces, self.particles.masses.min()
-        stiffness = sum(one.stiffness() for one in forces) / mass
-        damping = sum(one.damping(state[1], self.particles) for one in forces) / mass
+        stiffness = sum(force.stiffness() for force in forces) / mass
+        damping = (
+            sum(force.damping(state[1], self.particles) for force in forces) / mass
+        )
         rotation_rates = [force.turning(self.particles) for force in forces]
         rotation_rate = max(rotation_rates, default=0.0)
         modes = [(rotation_rate, 0.0)] if rotation_rate > 0 else []
@@ -107,7 +118,7 @@ class ParticleForces(_ParticleSystem, SecondOrder):
             modes.append((damping, 1.0))
         return np.array(modes) if modes else None
 
-    def suspect(self, t: float, state: FloatArray) -> str:
+    def suspected_cause(self, t: float, state: FloatArray) -> str:
         """Return which particle has the largest acceleration, as text."""
         magnitudes = np.linalg.norm(self.acceleration(t, *state), axis=1)
         particle = int(self.particles.ids[np.argmax(magnitudes)])
@@ -126,10 +137,10 @@ class ParticleFlow(_ParticleSystem, FirstOrder):
         self, t: float, h: float, before: FloatArray, after: FloatArray
     ) -> FloatArray:
         """Return the state after collisions."""
-        speed = (after - before) / h
-        start = np.stack([before, speed])
+        velocities = (after - before) / h
+        start = np.stack([before, velocities])
         radii = self.particles.radii
-        collision = collide(after, speed, start, self._colliders, t - h, t, radii)
+        collision = collide(after, velocities, start, self._colliders, t - h, t, radii)
         self.contacts = collision.contacts
         return collision.points if collision.contacts.any.any() else after
 
@@ -231,7 +242,7 @@ class DivergenceCheck:
 
     def __init__(self, setup: Particles, colliders: Colliders) -> None:
         self._setup, self._colliders = setup, colliders
-        self._particles = ParticleState.none()
+        self._particles = ParticleState.empty()
         self._ids: IntArray = np.zeros(0, np.int64)
         # Kinetic and potential energy of each particle when first observed ``(2, N)``.
         self._first_energies: FloatArray = np.zeros((2, 0))
@@ -263,7 +274,7 @@ class DivergenceCheck:
             energies, _ = particle_energies(self._setup, particles, state[:, is_moved])
             self._first_energies[:, is_moved] = energies
 
-    def divergence(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+    def divergence_reason(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return why a state has diverged; empty if it has not."""
         if not np.isfinite(state).all():
             return "its state is not finite"
@@ -272,7 +283,7 @@ class DivergenceCheck:
         current_energies, has_all_potentials = particle_energies(
             self._setup, self._particles, state
         )
-        has_pair_forces = any(force.pairs for force in self._setup.forces)
+        has_pair_forces = any(force.is_pair_force for force in self._setup.forces)
         if not has_all_potentials and (has_pair_forces or not self.has_long_steps):
             return ""
         kinetic, potential = self._first_energies.sum(axis=1).tolist()
@@ -283,7 +294,7 @@ class DivergenceCheck:
             kinetic,
             abs(potential),
             potential - current_potential,
-            float(self._particles.masses.sum()) * self._colliders.fastest**2,
+            float(self._particles.masses.sum()) * self._colliders.max_speed**2,
         )
         if scale > 0 and not total - first_total <= self._setup.options.growth * scale:
             return f"its energy rose from {first_total:.3g} J to {total:.3g} J"

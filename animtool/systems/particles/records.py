@@ -11,11 +11,11 @@ from annotated_types import Le
 from animtool.core.options import Range, above, key
 from animtool.core.record import dataclass
 
-_POSITIVE = Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
+_POSITIVE_RANGE = Range("above 0", "SIM021", 0.0, includes_minimum=False, finite=True)
 # Smallest mass, as in springs: forces over smaller masses overflow.
-_MASS = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
-_SPREAD = Range("0 or more", "SIM021", 0.0, finite=True)
-_FINITE = Range("finite", "SIM021", -math.inf, finite=True)
+_MASS_RANGE = Range("1e-30 or more", "SIM021", 1e-30, finite=True)
+_SPREAD_RANGE = Range("0 or more", "SIM021", 0.0, finite=True)
+_FINITE_RANGE = Range("finite", "SIM021", -math.inf, finite=True)
 
 
 def _read_bursts(rows: Sequence[Sequence[float]]) -> list[tuple[float, int]]:
@@ -32,7 +32,9 @@ class Emission:
     """
 
     name: str = key("For messages.", "embers", "")
-    rate: Annotated[float, _SPREAD, Le(1e9)] = key("Particles per second.", 200, 0.0)
+    rate: Annotated[float, _SPREAD_RANGE, Le(1e9)] = key(
+        "Particles per second.", 200, 0.0
+    )
     bursts: Sequence[tuple[float, int]] = key(
         "Seconds from the first frame, and number of particles at once.",
         [[0, 50], [1.5, 50]],
@@ -52,19 +54,25 @@ class Emission:
         0.0,
         read=math.radians,
     )
-    speed: Annotated[float, _FINITE] = key("Speed [m/s].", 3, 0.0)
-    speed_spread: Annotated[float, _SPREAD] = key("Largest deviation [m/s].", 0.5, 0.0)
-    inherit: Annotated[float, _FINITE] = key(
+    speed: Annotated[float, _FINITE_RANGE] = key("Speed [m/s].", 3, 0.0)
+    speed_spread: Annotated[float, _SPREAD_RANGE] = key(
+        "Largest deviation [m/s].", 0.5, 0.0
+    )
+    inherit: Annotated[float, _FINITE_RANGE] = key(
         "Fraction of the emitter's velocity that they inherit.", 0.5, 1.0
     )
     lifetime: Annotated[float, above(0, "SIM021")] = key(
         "Lifetime [s]. Default: unlimited.", 2.5, math.inf
     )
-    lifetime_spread: Annotated[float, _SPREAD] = key("Largest deviation [s].", 0.5, 0.0)
-    radius: Annotated[float, _POSITIVE] = key("Radius [m].", 0.01, 0.005)
-    radius_spread: Annotated[float, _SPREAD] = key("Largest deviation [m].", 0.005, 0.0)
-    mass: Annotated[float, _MASS] = key("Mass [kg].", 0.1, 0.001)
-    charge: Annotated[float, _FINITE] = key("Charge [C].", 1e-6, 0.0)
+    lifetime_spread: Annotated[float, _SPREAD_RANGE] = key(
+        "Largest deviation [s].", 0.5, 0.0
+    )
+    radius: Annotated[float, _POSITIVE_RANGE] = key("Radius [m].", 0.01, 0.005)
+    radius_spread: Annotated[float, _SPREAD_RANGE] = key(
+        "Largest deviation [m].", 0.005, 0.0
+    )
+    mass: Annotated[float, _MASS_RANGE] = key("Mass [kg].", 0.1, 0.001)
+    charge: Annotated[float, _FINITE_RANGE] = key("Charge [C].", 1e-6, 0.0)
     seed: int = key("Seed for random numbers.", 7, 0)
 
 

@@ -83,5 +83,5 @@ class ParticleRun(SimulationRun):
             frame.velocities,
             frame.radii,
             frame.primvars,
-            max(t, self.step_time(self.state.steps)),
+            max(t, self.step_time(self.state.step_count)),
         )

@@ -6,15 +6,11 @@ from collections.abc import Sequence
 from dataclasses import field
 from typing import Annotated
 
-import numpy as np
-
-from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.options import Range, range_faults
 from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
-from animtool.sim.colliders.colliding import Colliders
 from animtool.sim.colliders.sheets import Sheet
 from animtool.sim.options import IntegrateOptions, check_options
 from animtool.systems.particles.emitter import Emitter
@@ -36,11 +32,6 @@ class KillRegion:
     """
 
     region: Collider
-
-    def kills(self, points: FloatArray, t: float) -> BoolArray:
-        """Return a mask ``(N,)`` of points in the region at a time [s]."""
-        distances = Colliders([self.region.volume()]).sample(points, t).distances[0]
-        return np.asarray(distances < 0, np.bool_)
 
 
 @dataclass(frozen=True)
@@ -110,9 +101,9 @@ class Particles:
         """Return faults of emitters, forces, colliders and regions."""
         faults = _record_faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
-            where = f"{_table_name(force)}[{i}]"
+            location = f"{_table_name(force)}[{i}]"
             faults += [
-                Fault("SIM022", f"its {option} {reason}", where=where)
+                Fault("SIM022", f"its {option} {reason}", where=location)
                 for option, reason in force.faults()
             ]
         if self.velocity is not None:
@@ -136,4 +127,11 @@ def _record_faults(
 def _table_name(force: Force) -> str:
     """Return the name of a force in `FORCES`, or the class name if it has none."""
     kind = type(force).__name__
-    return next((name for name, at in FORCES.items() if at.endswith(f":{kind}")), kind)
+    return next(
+        (
+            name
+            for name, class_path in FORCES.items()
+            if class_path.endswith(f":{kind}")
+        ),
+        kind,
+    )

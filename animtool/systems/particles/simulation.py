@@ -21,7 +21,7 @@ from animtool.sim.checks import (
 )
 from animtool.sim.colliders import Plane
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.sim.colliders.colliding import Colliders, Contacts, Touch
+from animtool.sim.colliders.colliding import Colliders, ContactKind, Contacts
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import advance_run, checkpoint_of, stats_of
 from animtool.sim.integrators import find_integrator
@@ -33,10 +33,10 @@ from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
 from animtool.systems.framework.simulation import (
     Diagnostics,
-    Stepped,
+    SteppedState,
     StoppedError,
-    growing,
-    later,
+    field_set_later,
+    growing_field,
 )
 from animtool.systems.particles.moving import (
     DivergenceCheck,
@@ -59,18 +59,18 @@ MODE_TOLERANCE = 0.05
 class ParticleRunState:
     """State of a particle simulation at the end of a step."""
 
-    particles: ParticleState = field(metadata=growing())  # living particles
+    particles: ParticleState = field(metadata=growing_field())  # living particles
     # Positions, then velocities ``(2, N, 3)``.
-    state: FloatArray = field(metadata=growing(1))
+    state: FloatArray = field(metadata=growing_field(1))
     born: int = 0  # number of births so far, with skipped ones
     missed: int = 0  # number of skipped births so far
     # Memory of the integrator, valid for the same particles.
-    memory: object = field(default=None, metadata=later(PreviousStep))
+    memory: object = field(default=None, metadata=field_set_later(PreviousStep))
     # Next trial step of an adaptive integrator [s].
-    trial: float | None = field(default=None, metadata=later())
+    trial: float | None = field(default=None, metadata=field_set_later())
 
 
-_NO_PARTICLES = ParticleRunState(ParticleState.none(), np.zeros((2, 0, 3)))
+_NO_PARTICLES = ParticleRunState(ParticleState.empty(), np.zeros((2, 0, 3)))
 
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
@@ -98,7 +98,9 @@ class ParticleSimulation:
         self.colliders = Colliders(setup.colliders, setup.sheets, setup.bodies)
         self.contacts: Contacts | None = None  # as in `ParticleRun`
         self._steps_taken = 0  # steps of the method so far
-        self._kill_regions = [Colliders([kill.region.volume()]) for kill in setup.kills]
+        self._kill_regions = [
+            Colliders([kill.region.as_solid()]) for kill in setup.kills
+        ]
         self._integrator = check_options(setup.options)
         check_supported(Equations(self._system(_NO_PARTICLES)), self._integrator)
         self._divergence_check = DivergenceCheck(setup, self.colliders)
@@ -117,7 +119,7 @@ class ParticleSimulation:
 
     def step(
         self, state: ParticleRunState, t: float, dt: float
-    ) -> Stepped[ParticleRunState]:
+    ) -> SteppedState[ParticleRunState]:
         """Return the state after a full or partial step [s].
 
         Particles born in the step do not push bodies in it.
@@ -129,11 +131,11 @@ class ParticleSimulation:
         state = self._add_births(state, t, t, end, notices)
         state = self._remove_particles(state, end)
         if state.particles is particles:
-            return Stepped(state, wrenches, notices)
+            return SteppedState(state, wrenches, notices)
         if not np.isfinite(state.state).all():
             system = self._system(state)
             check_start(Equations(system), end, system.state)
-        return Stepped(replace(state, memory=None, trial=None), wrenches, notices)
+        return SteppedState(replace(state, memory=None, trial=None), wrenches, notices)
 
     def _system(self, state: ParticleRunState) -> ParticleForces | ParticleFlow:
         """Return the particles of a state as a system for integrators."""
@@ -164,7 +166,7 @@ class ParticleSimulation:
                 state.trial,
             )
             status = advance_run(integration, end)
-            self._steps_taken += integration.steps
+            self._steps_taken += integration.step_count
             if status is not Status.OK:
                 stop_sample = integration.time, integration.state
                 self._stop(integration, status, [(start, start_state), stop_sample])
@@ -175,7 +177,7 @@ class ParticleSimulation:
         if contacts is not None:
             # The speed of deforming colliders is unknown.
             is_moved = contacts.colliders >= len(self.colliders)
-            is_moved |= contacts.touches == Touch.UNRESOLVED
+            is_moved |= contacts.touches == ContactKind.UNRESOLVED
             self._divergence_check.reset_energies(is_moved, end_state)
             notices += self._stuck_notices(state.particles, contacts, end)
         checkpoint = checkpoint_of(integration, status, end, integration.state)
@@ -289,7 +291,7 @@ class ParticleSimulation:
             )
             states.append(np.stack([x, v]))
         if not states:
-            return ParticleState.none(), np.zeros((2, 0, 3)), skipped_count
+            return ParticleState.empty(), np.zeros((2, 0, 3)), skipped_count
         particles = ParticleState.concatenate(particle_sets)
         state = np.concatenate(states, axis=1)
         order = np.argsort(particles.births, kind="stable")
@@ -301,14 +303,21 @@ class ParticleSimulation:
         self, particles: ParticleState, contacts: Contacts, t: float
     ) -> Iterator[Fault]:
         """Yield a warning about particles that stay inside colliders (SIM123)."""
-        (stuck_rows,) = np.nonzero(contacts.touches == Touch.UNRESOLVED)
-        if not len(stuck_rows):
+        (stuck_indices,) = np.nonzero(contacts.touches == ContactKind.UNRESOLVED)
+        if not len(stuck_indices):
             return
-        label = f"particle {int(particles.ids[stuck_rows[0]])}"
-        index, setup = int(contacts.colliders[stuck_rows[0]]), self.setup
-        names = [one.name or f"colliders[{i}]" for i, one in enumerate(setup.colliders)]
-        names += [one.name for system in setup.bodies for one in system.colliders]
-        names += [one.name or f"sheets[{i}]" for i, one in enumerate(setup.sheets)]
+        label = f"particle {int(particles.ids[stuck_indices[0]])}"
+        index, setup = int(contacts.colliders[stuck_indices[0]]), self.setup
+        names = [
+            collider.name or f"colliders[{i}]"
+            for i, collider in enumerate(setup.colliders)
+        ]
+        names += [
+            collider.name for system in setup.bodies for collider in system.colliders
+        ]
+        names += [
+            collider.name or f"sheets[{i}]" for i, collider in enumerate(setup.sheets)
+        ]
         message = f"{label} is inside {names[index]!r} at {t:g} s, and cannot be "
         message += "pushed out at once"
         hint = "particles start inside, or colliders close in on them from several "
@@ -348,8 +357,8 @@ class ParticleSimulation:
             k
             for k, region in enumerate(self._kill_regions)
             if all(
-                (region.sample(one.poses.at(t)[None, :3], t).distances < 0).all()
-                for one in emitters
+                (region.sample(emitter.poses.at(t)[None, :3], t).distances < 0).all()
+                for emitter in emitters
             )
         ]
         if regions:
@@ -366,17 +375,24 @@ class ParticleSimulation:
                 message += "inside it"
                 hint = "to remove what leaves it, write container: true"
             return warning("SIM188", message, hint, f"kill[{k}]")
-        starts = [
-            min([*(time for time, _ in one.bursts), one.start if one.rate else np.inf])
-            for one in emitters
+        start_times = [
+            min(
+                [
+                    *(time for time, _ in emitter.bursts),
+                    emitter.start if emitter.rate else np.inf,
+                ]
+            )
+            for emitter in emitters
         ]
-        first = min(starts)
-        if t < first < np.inf:
-            message += f": the first emitter starts at {first:g} s, after the last "
+        first_time = min(start_times)
+        if t < first_time < np.inf:
+            message += (
+                f": the first emitter starts at {first_time:g} s, after the last "
+            )
             message += f"frame, at {t:.3g} s"
             hint = "times are in seconds from the first frame of the range"
-            where = f"emitters[{starts.index(first)}]"
-            return warning("SIM188", message, hint, where)
+            location = f"emitters[{start_times.index(first_time)}]"
+            return warning("SIM188", message, hint, location)
         hint = "set a rate or bursts, and a start and a lifetime with which "
         return warning("SIM188", message, hint + "particles exist in the range")
 

@@ -57,7 +57,7 @@ class ParticlesModel(ForcedSpec):
     """Particles: born, moved, stopped and removed. Lengths are in metres."""
 
     methods: ClassVar[Sequence[str] | None] = None
-    exact: ClassVar[str] = "rk4"
+    reference_method: ClassVar[str] = "rk4"
     counted_keys: ClassVar[Sequence[str]] = ("emitters", "forces")
 
     name: PrimName = Field(default="particles", examples=["embers"])
@@ -85,12 +85,12 @@ class ParticlesModel(ForcedSpec):
 
     @property
     def title(self) -> str:
-        """Title for messages."""
+        """Name of the entry in messages."""
         return "particles"
 
     @property
     def reads(self) -> list[str]:
-        """Numbers of external forces by kind, as text."""
+        """External inputs as text, such as ``2 forces`` and a velocity field."""
         return [*super().reads, *(["a velocity field"] if self.velocity else [])]
 
     @property
@@ -102,25 +102,25 @@ class ParticlesModel(ForcedSpec):
             "max_particles": self.max_particles,
         }
 
-    def setup(self, parts: Mapping[str, Any]) -> Particles:
+    def setup(self, entry_data: Mapping[str, Any]) -> Particles:
         """Return the particle system, without colliders."""
         from animtool.sim.options import IntegrateOptions
         from animtool.systems.particles.setup import KillRegion, Particles
 
         return Particles(
-            parts["emitters"],
-            parts["forces"],
-            parts.get("velocity"),
-            kills=[KillRegion(region) for region in parts["kill"]],
+            entry_data["emitters"],
+            entry_data["forces"],
+            entry_data.get("velocity"),
+            kills=[KillRegion(region) for region in entry_data["kill"]],
             options=IntegrateOptions(self.method, self.step, self.tolerance),
             max_particles=self.max_particles,
             name=self.name,
         )
 
-    def faults(self, parts: Mapping[str, Any]) -> Sequence[Fault]:
+    def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:
         """Return faults of keys and combinations (SIM001, SIM004, SIM005, SIM024)."""
         try:
-            self.setup(parts).check()
+            self.setup(entry_data).check()
         except OptionError as error:
             faults = error.faults
             return [replace(fault, where=fault.where or "method") for fault in faults]

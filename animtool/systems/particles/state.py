@@ -36,7 +36,7 @@ class ParticleState(Rows):
         return len(self.ids)
 
     @staticmethod
-    def lasting(
+    def everlasting(
         ids: IntArray,
         masses: FloatArray | float,
         radii: FloatArray | float,
@@ -51,7 +51,7 @@ class ParticleState(Rows):
         return ParticleState(ids, mass, charge, radius, birth, death, origins)
 
     @staticmethod
-    def none() -> ParticleState:
+    def empty() -> ParticleState:
         """Return a record without particles."""
         no_ids = np.zeros(0, np.int64)
-        return ParticleState.lasting(no_ids, 0.0, 0.0, 0.0, np.zeros((0, 3)))
+        return ParticleState.everlasting(no_ids, 0.0, 0.0, 0.0, np.zeros((0, 3)))

@@ -58,15 +58,17 @@ class RigidBodies:
     # Poses of each body over time; of a dynamic one the initial pose.
     poses: Sequence[Poses]
     begin: float
-    dynamic: IntArray = field(init=False)  # indices of dynamic bodies (N,)
+    dynamic_indices: IntArray = field(init=False)  # indices of dynamic bodies (N,)
 
     def __post_init__(self) -> None:
         """Find the dynamic bodies."""
-        object.__setattr__(self, "dynamic", np.flatnonzero(self.is_dynamic))
+        object.__setattr__(self, "dynamic_indices", np.flatnonzero(self.is_dynamic))
 
     @staticmethod
     def from_models(
-        models: Sequence[BodyModel], parts: Sequence[Mapping[str, Any]], begin: float
+        models: Sequence[BodyModel],
+        body_data: Sequence[Mapping[str, Any]],
+        begin: float,
     ) -> RigidBodies:
         """Return the bodies described by the models of a spec, copies included."""
         kinds: list[BodyKind] = []
@@ -74,22 +76,24 @@ class RigidBodies:
         used_names: set[str] = set()
         refusals = RefusalCollector()
         for entry_index, (model, entry_data) in enumerate(
-            zip(models, parts, strict=True)
+            zip(models, body_data, strict=True)
         ):
-            where = entry_data.get("entry", f"bodies[{entry_index}]")
+            location = entry_data.get("entry", f"bodies[{entry_index}]")
             origin = entry_data.get("origin")
-            with refusals.collect(), _entry_faults(where, origin):
+            with refusals.collect(), _entry_faults(location, origin):
                 if model.name in used_names:
                     refuse("SIM061", f"two bodies are named {model.name!r}", "name")
-            with refusals.collect(), _entry_faults(where, origin):
+            with refusals.collect(), _entry_faults(location, origin):
                 refuse_all("SIM061", motion_key_problems(model))
-            with refusals.collect(), _entry_faults(where, origin):
+            with refusals.collect(), _entry_faults(location, origin):
                 kind = build_body_kind(model, entry_data)
                 points, rotations = copy_placements(model, entry_data)
             used_names.add(model.name)
             if refusals.faults:
                 continue
-            notices = [_locate_fault(notice, where, origin) for notice in kind.notices]
+            notices = [
+                _locate_fault(notice, location, origin) for notice in kind.notices
+            ]
             kinds.append(replace(kind, notices=notices))
             entry_poses: Poses = entry_data["poses"]
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
@@ -125,8 +129,8 @@ class RigidBodies:
     @cached_property
     def static_bodies(self) -> frozenset[int]:
         """Indices of kinematic bodies that never move."""
-        kinematic = np.flatnonzero(~self.is_dynamic).tolist()
-        return frozenset(i for i in kinematic if self.poses[i].is_fixed)
+        kinematic_indices = np.flatnonzero(~self.is_dynamic).tolist()
+        return frozenset(i for i in kinematic_indices if self.poses[i].is_fixed)
 
     @cached_property
     def masses(self) -> FloatArray:
@@ -161,7 +165,7 @@ class RigidBodies:
 
     def _per_dynamic_body(self, values_by_kind: Sequence[ArrayLike]) -> FloatArray:
         """Return the value of each dynamic body, from those of the kinds ``(N, …)``."""
-        return np.array(values_by_kind)[self.kind_of_body[self.dynamic]]
+        return np.array(values_by_kind)[self.kind_of_body[self.dynamic_indices]]
 
     def kind_of(self, body: int) -> BodyKind:
         """Return the kind of a body, by its index among all bodies."""
@@ -170,9 +174,9 @@ class RigidBodies:
     @cached_property
     def initial_states(self) -> FloatArray:
         """Initial states of dynamic bodies, in the kernel's layout ``(N, 14)``."""
-        poses = np.array([self.poses[i].at(self.begin) for i in self.dynamic])
+        poses = np.array([self.poses[i].at(self.begin) for i in self.dynamic_indices])
         poses = poses.reshape(-1, 7)
-        models = [self.kind_of(i).model for i in self.dynamic]
+        models = [self.kind_of(i).model for i in self.dynamic_indices]
         velocities = np.array([m.velocity for m in models], np.float64).reshape(-1, 3)
         spins = np.radians([m.spin for m in models]).reshape(-1, 3)
         centres = poses[:, :3] + so3.rotate(poses[:, 3:], self.centres)
@@ -187,7 +191,7 @@ class RigidBodies:
 
         The velocities are averages over the step [s] before ``t``.
         """
-        i = int(self.dynamic[dynamic_index])
+        i = int(self.dynamic_indices[dynamic_index])
         previous_pose, pose = self.poses[i].at(t - dt), self.poses[i].at(t)
         offset, moments = self.centres[dynamic_index], self.moments[dynamic_index]
         previous_centre = previous_pose[:3] + so3.rotate(previous_pose[3:], offset)
@@ -216,25 +220,25 @@ class RigidBodies:
         return [
             Collider(
                 shape,
-                offset_poses(self.poses[i], at, rotation),
+                offset_poses(self.poses[i], origin, rotation),
                 name=self.names[i],
                 restitution=kind.model.restitution,
                 friction=kind.model.friction,
             )
             for i in np.flatnonzero(~self.is_dynamic).tolist()
             for kind in [self.kind_of(i)]
-            for shape, at, rotation in kind.shapes
+            for shape, origin, rotation in kind.shapes
         ]
 
-    def excluded_pairs(self, pairs: IntArray, first_collider: int) -> IntArray:
+    def excluded_pairs(self, pairs: IntArray, static_count: int) -> IntArray:
         """Return pairs that do not collide, as kernel indices ``(Q, 2)``.
 
-        ``pairs`` are indices of all bodies ``(P, 2)``; ``first_collider`` is the index
+        ``pairs`` are indices of all bodies ``(P, 2)``; ``static_count`` is the index
         of the first of `colliders` among all colliders.
         """
         shape_counts = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
         counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])
-        first_index = len(self.dynamic) + first_collider
+        first_index = len(self.dynamic_indices) + static_count
         first_shapes = first_index + np.cumsum(counts) - counts
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         kernel_pairs: list[tuple[int, int]] = []
@@ -269,7 +273,7 @@ class RigidBodies:
         cores_by_kind = [
             [k.core_at_centre(core) for core in k.cores] for k in self.kinds
         ]
-        for dynamic_index, i in enumerate(self.dynamic.tolist()):
+        for dynamic_index, i in enumerate(self.dynamic_indices.tolist()):
             cores += cores_by_kind[self.kind_of_body[i]]
             body_indices += [dynamic_index] * len(cores_by_kind[self.kind_of_body[i]])
         return cores, np.array(body_indices, np.int64)
@@ -278,7 +282,7 @@ class RigidBodies:
         self,
         joints: IntArray,
         parameters: FloatArray,
-        excluded: IntArray,
+        excluded_pairs: IntArray,
         mass_factors: FloatArray | float,
     ) -> Any:
         """Return bodies and joints as a kernel object.
@@ -288,7 +292,13 @@ class RigidBodies:
         """
         masses = (self.masses * mass_factors)[:, None]
         masses = np.concatenate([masses, self.moments], axis=1)
-        arrays: list[Any] = [masses, *self._shape_arrays, joints, parameters, excluded]
+        arrays: list[Any] = [
+            masses,
+            *self._shape_arrays,
+            joints,
+            parameters,
+            excluded_pairs,
+        ]
         return _kernels.RigidBodies(*arrays)
 
     @cached_property
@@ -296,7 +306,7 @@ class RigidBodies:
         """Shapes of dynamic bodies, in the layout of the kernel."""
         cores, owners = self.cores_and_bodies
         faces = [face for core in cores for face in core.faces]
-        models = [self.kind_of(self.dynamic[i]).model for i in owners]
+        models = [self.kind_of(self.dynamic_indices[i]).model for i in owners]
         materials = [
             (core.radius, m.restitution, m.friction)
             for core, m in zip(cores, models, strict=True)
@@ -355,17 +365,19 @@ def _first_indices(counts: Sequence[int]) -> IntArray:
 
 
 @contextmanager
-def _entry_faults(where: str, origin: str | None) -> Iterator[None]:
+def _entry_faults(location: str, origin: str | None) -> Iterator[None]:
     """Locate the faults that are raised inside the context at an entry."""
     try:
         yield
     except OptionError as error:
-        faults = [_locate_fault(fault, where, origin) for fault in error.faults]
+        faults = [_locate_fault(fault, location, origin) for fault in error.faults]
         raise OptionError(faults) from error
 
 
-def _locate_fault(fault: Fault, where: str, origin: str | None) -> Fault:
+def _locate_fault(fault: Fault, location: str, origin: str | None) -> Fault:
     """Return a fault located at an entry, or at the prim that the entry names."""
     if origin is not None:
-        return replace(fault, where=where, message=f"{origin}: " + fault.message)
-    return replace(fault, where=f"{where}.{fault.where}" if fault.where else where)
+        return replace(fault, where=location, message=f"{origin}: " + fault.message)
+    return replace(
+        fault, where=f"{location}.{fault.where}" if fault.where else location
+    )

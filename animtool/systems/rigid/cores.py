@@ -136,7 +136,7 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
     return ConvexCore(points[corners], faces)
 
 
-def solid_of(shape: Shape, core: ConvexCore) -> SolidProperties:
+def core_solid(shape: Shape, core: ConvexCore) -> SolidProperties:
     """Return the mass properties of a shape of density 1; for a mesh, of its hull."""
     match shape:
         case Sphere(radius=r):
@@ -259,7 +259,7 @@ def convex_pieces(mesh: Mesh) -> list[tuple[Mesh, ConvexCore]]:
     Wei, Liu, Ling and Su (2022), "Approximate convex decomposition for 3D meshes with
     collision-aware concavity and tree search".
     """
-    if not mesh.watertight:
+    if not mesh.is_watertight:
         return []
     points, triangles = mesh.weld()
     return _decompose(points.tobytes(), triangles.tobytes())
@@ -284,9 +284,11 @@ def _decompose(
     )
     pieces = []
     for vertices, faces in hulls:
-        piece = Mesh(np.asarray(vertices, np.float64), np.asarray(faces), closed=True)
+        part_mesh = Mesh(
+            np.asarray(vertices, np.float64), np.asarray(faces), closed=True
+        )
         try:
-            pieces.append((piece, core_of(piece)))
+            pieces.append((part_mesh, core_of(part_mesh)))
         except ValueError:
             # Pieces without volume support nothing.
             continue

@@ -22,7 +22,7 @@ from animtool.core.record import dataclass
 from animtool.maths.phi import phi_functions
 
 # Error tolerance of a substep under a nonlinear force, relative to the motion in it.
-TOLERANCE = 2e-5
+ERROR_TOLERANCE = 2e-5
 # Shortest substep relative to the step, and number of substeps after which longer ones
 # are required. This resolves discontinuous forces.
 MIN_STEP_FRACTION, MAX_SUBSTEPS = 1 / 2048, 128
@@ -32,7 +32,7 @@ COARSE_ERROR = 0.5
 MIN_MOTION = 1e-9  # added to the motion that errors are relative to [m]
 INFINITE_ERROR = 1e300  # error of non-finite motion
 # Limits and safety factor of the ratio between two substeps.
-MIN_STEP_CHANGE, MAX_STEP_CHANGE, SAFETY = 0.1, 4.0, 0.8
+MIN_STEP_CHANGE, MAX_STEP_CHANGE, SAFETY_FACTOR = 0.1, 4.0, 0.8
 
 # Accelerations at a time, positions and velocities ``(N, 3)``.
 AccelerationFunction: TypeAlias = Callable[[float, FloatArray, FloatArray], FloatArray]
@@ -75,9 +75,11 @@ def free_flight(
         next_state, errors = _substep(
             acceleration_at, time, step, points, velocities, acceleration, jacobians
         )
-        error = float(errors.max(initial=0.0)) / TOLERANCE
+        error = float(errors.max(initial=0.0)) / ERROR_TOLERANCE
         if error > 1 and step > min_step:
-            step = max(step * max(SAFETY / np.sqrt(error), MIN_STEP_CHANGE), min_step)
+            step = max(
+                step * max(SAFETY_FACTOR / np.sqrt(error), MIN_STEP_CHANGE), min_step
+            )
             continue
         points, velocities = next_state
         if step > 2 * MIN_STEP_FRACTION * dt:
@@ -89,7 +91,9 @@ def free_flight(
             min_step = max(MIN_STEP_FRACTION * dt, min_step)
             acceleration = acceleration_at(time, *next_state)
             jacobians = jacobians_at(time, *next_state)
-            next_step = step * min(SAFETY / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE)
+            next_step = step * min(
+                SAFETY_FACTOR / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE
+            )
             step = min(max(next_step, min_step), end - time)
     mass_factors = _mass_factors(
         start_acceleration, start_jacobians[1], velocities - v, dt, v
@@ -126,8 +130,8 @@ def _substep(
     magnitudes = np.linalg.norm(total_change[:, :3], axis=1)
     magnitudes += np.linalg.norm(h * v, axis=1)
     magnitudes += np.linalg.norm(h * v + total_change[:, 3:], axis=1)
-    error_size = np.linalg.norm(correction, axis=1)
-    errors = error_size / (magnitudes + MIN_MOTION)
+    correction_magnitudes = np.linalg.norm(correction, axis=1)
+    errors = correction_magnitudes / (magnitudes + MIN_MOTION)
     errors[~np.isfinite(errors)] = INFINITE_ERROR
     is_coarse = (errors > COARSE_ERROR)[:, None]
     total_change = np.where(is_coarse, linear_change, total_change)

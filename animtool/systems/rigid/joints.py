@@ -92,9 +92,9 @@ class Joints:
     def excluded_pairs(self) -> IntArray:
         """All pairs of bodies that do not collide ``(P, 2)``."""
         pairs = [joint.excluded_pair for joint in self.members]
-        excluded = [pair for pair in pairs if pair[0] >= 0]
+        joint_pairs = [pair for pair in pairs if pair[0] >= 0]
         return np.concatenate(
-            [np.array(excluded, np.int64).reshape(-1, 2), self.other_pairs]
+            [np.array(joint_pairs, np.int64).reshape(-1, 2), self.other_pairs]
         )
 
     def anchor_frames(self, t0: float, t1: float) -> FloatArray:
@@ -111,19 +111,19 @@ def check_joints(
     models_by_name = {body.name: body for body in bodies}
     refusals = RefusalCollector()
     for i, model in enumerate(models):
-        where = f"joints[{i}]"
-        name = model.name or where
+        location = f"joints[{i}]"
+        name = model.name or location
         with refusals.collect():
-            body = _body_model(model.body, models_by_name, f"{where}.body")
+            body = _body_model(model.body, models_by_name, f"{location}.body")
             if body.kinematic and body.release is None:
                 message = f"{model.body!r} is kinematic: joints cannot move it"
-                refuse("SIM061", message, f"{where}.body")
+                refuse("SIM061", message, f"{location}.body")
         with refusals.collect():
             if model.to is not None:
-                _body_model(model.to, models_by_name, f"{where}.to")
+                _body_model(model.to, models_by_name, f"{location}.to")
             if model.to == model.body:
                 message = f"{name!r} joins {model.body!r} to itself"
-                refuse("SIM061", message, f"{where}.to")
+                refuse("SIM061", message, f"{location}.to")
         for key, types in _OPTION_TYPES.items():
             with refusals.collect():
                 if getattr(model, key) is not None and model.type not in types:
@@ -132,13 +132,13 @@ def check_joints(
                     hint = f"type: {types[0]}"
                     if model.type == "ball" and key == "limits":
                         hint = "use swing: 40, or twist: [-30, 30]"
-                    refuse("SIM061", message, f"{where}.{key}", hint)
+                    refuse("SIM061", message, f"{location}.{key}", hint)
         with refusals.collect():
-            _axis_rotation(model, name, where)
+            _axis_rotation(model, name, location)
         with refusals.collect():
-            _limit_parameters(model, name, where)
+            _limit_parameters(model, name, location)
         with refusals.collect():
-            _drive_parameters(model, where)
+            _drive_parameters(model, location)
     refusals.check()
 
 
@@ -151,7 +151,7 @@ def _body_model(name: str, bodies: Mapping[str, BodyModel], key: str) -> BodyMod
 
 def build_joints(
     models: Sequence[RigidJointModel],
-    parts: Sequence[Mapping[str, Any]],
+    joint_data: Sequence[Mapping[str, Any]],
     bodies: RigidBodies,
 ) -> Joints:
     """Return the joints of a spec, once `check_joints` has passed.
@@ -160,33 +160,35 @@ def build_joints(
     """
     joints: list[BodyJoint] = []
     notices: list[Fault] = []
-    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
-    for i, (model, entry_data) in enumerate(zip(models, parts, strict=True)):
-        where = f"joints[{i}]"
-        name = model.name or where
-        second_body = bodies.body_index(model.body, f"{where}.body")
+    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
+    for i, (model, entry_data) in enumerate(zip(models, joint_data, strict=True)):
+        location = f"joints[{i}]"
+        name = model.name or location
+        second_body = bodies.body_index(model.body, f"{location}.body")
         poses: Poses = entry_data["poses"]
         frame = poses.at(bodies.begin)
-        frame[3:] = so3.multiply(frame[3:], _axis_rotation(model, name, where))
+        frame[3:] = so3.multiply(frame[3:], _axis_rotation(model, name, location))
         frame_b = relative_to_principal(bodies, second_body, frame)
         first_index, anchor, parent = -1, Poses(), -1
         if model.to is None:
             anchor = poses
-            frame_a = np.concatenate([np.zeros(3), _axis_rotation(model, name, where)])
+            frame_a = np.concatenate(
+                [np.zeros(3), _axis_rotation(model, name, location)]
+            )
         else:
-            parent = bodies.body_index(model.to, f"{where}.to")
+            parent = bodies.body_index(model.to, f"{location}.to")
             if not poses.is_fixed:
                 message = f"{name!r} follows {model.to!r}, so it cannot have moves or "
                 message += "a prim"
-                refuse("SIM061", message, where)
+                refuse("SIM061", message, location)
             if parent in dynamic_indices:
                 first_index = dynamic_indices[parent]
                 frame_a = relative_to_principal(bodies, parent, frame)
             else:
                 anchor = bodies.poses[parent]
                 frame_a = relative_frame(anchor.at(bodies.begin), frame)
-        limits = _limit_parameters(model, name, where)
-        drive = _drive_parameters(model, where)
+        limits = _limit_parameters(model, name, location)
+        drive = _drive_parameters(model, location)
         is_excluded = parent >= 0 and not model.contacts
         joints.append(
             BodyJoint(
@@ -201,7 +203,7 @@ def build_joints(
             )
         )
         for body in (second_body, parent) if parent >= 0 else (second_body,):
-            notices += _distance_warnings(bodies, body, frame, name, where)
+            notices += _distance_warnings(bodies, body, frame, name, location)
     return Joints(joints, notices)
 
 
@@ -215,13 +217,13 @@ def subset_joints(
     """
     if bodies is all_bodies:
         return joints, np.arange(len(joints))
-    new_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    new_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
     members, indices = [], []
     for k, joint in enumerate(joints.members):
         (first, second), parameters = joint.bodies, joints.parameters[k]
         frame_a, frame_b, settings = parameters[:7], parameters[7:14], parameters[14:]
-        a = -1 if first < 0 else int(all_bodies.dynamic[first])
-        b, anchor = int(all_bodies.dynamic[second]), joint.anchor
+        a = -1 if first < 0 else int(all_bodies.dynamic_indices[first])
+        b, anchor = int(all_bodies.dynamic_indices[second]), joint.anchor
         if a >= 0 and a not in new_indices:
             frame_a, anchor = to_body_frame(all_bodies, first, frame_a), bodies.poses[a]
         if b not in new_indices:
@@ -260,7 +262,7 @@ def to_body_frame(
     bodies: RigidBodies, dynamic_index: int, frame: FloatArray
 ) -> FloatArray:
     """Transform a frame ``(7,)`` from principal axes to the frame of the body."""
-    kind = bodies.kind_of(bodies.dynamic[dynamic_index])
+    kind = bodies.kind_of(bodies.dynamic_indices[dynamic_index])
     return to_parent_frame(kind.principal_frame, frame)
 
 
@@ -287,13 +289,13 @@ def _break_limits(model: RigidJointModel) -> tuple[float, float]:
     return force, torque
 
 
-def _axis_rotation(model: RigidJointModel, name: str, where: str) -> FloatArray:
+def _axis_rotation(model: RigidJointModel, name: str, location: str) -> FloatArray:
     """Return the shortest rotation from the x axis to the joint axis ``(4,)``."""
     axis = np.array(model.axis, np.float64)
     length = float(np.linalg.norm(axis))
     if not length:
         message = f"the axis of {name!r} has no direction"
-        refuse("SIM061", message, f"{where}.axis", "use axis: [0, 1, 0]")
+        refuse("SIM061", message, f"{location}.axis", "use axis: [0, 1, 0]")
     return so3.shortest_rotation(np.array([1.0, 0.0, 0.0]), axis / length)
 
 
@@ -313,7 +315,7 @@ def relative_to_principal(
     return relative_frame(principal_frame, frame)
 
 
-def _limit_parameters(model: RigidJointModel, name: str, where: str) -> list[float]:
+def _limit_parameters(model: RigidJointModel, name: str, location: str) -> list[float]:
     """Return the kernel's limits of a joint: low, high, and two swing angles."""
     low, high, swing = 1.0, 0.0, [-1.0, -1.0]
     key = "twist" if model.type == "ball" else "limits"
@@ -324,39 +326,43 @@ def _limit_parameters(model: RigidJointModel, name: str, where: str) -> list[flo
         if low > high:
             message = f"the lower limit of {name!r}, {limits[0]:g}, is above the upper "
             message += "limit"
-            refuse("SIM061", f"{message}, {limits[1]:g}", f"{where}.{key}")
+            refuse("SIM061", f"{message}, {limits[1]:g}", f"{location}.{key}")
         if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
             message = f"the limits of {name!r} are more than 360 degrees apart"
             hint = "remove them: full rotations are not counted"
-            refuse("SIM061", message, f"{where}.{key}", hint)
+            refuse("SIM061", message, f"{location}.{key}", hint)
     if model.swing is not None:
         swings = model.swing
         half_angles = swings if isinstance(swings, list) else [swings, swings]
         if min(half_angles) <= 0:
-            refuse("SIM061", f"the swing of {name!r} must be above 0", f"{where}.swing")
+            refuse(
+                "SIM061", f"the swing of {name!r} must be above 0", f"{location}.swing"
+            )
         swing = np.minimum(np.radians(half_angles), MAX_SWING).tolist()
     return [low, high, *swing]
 
 
-def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
+def _drive_parameters(model: RigidJointModel, location: str) -> list[float]:
     """Return the kernel's drive of a joint: target, gains and motor."""
     drive = model.drive
     if drive is None:
         return [0.0, *so3.IDENTITY, 0.0, 0.0, -1.0, 0.0]
-    speed = _motor_speed(model, drive, where)
+    speed = _motor_speed(model, drive, location)
     is_ball = model.type == "ball"
     if ("target" if is_ball else "rotation") in drive.model_fields_set:
         keys = ("target", "rotation") if is_ball else ("rotation", "target")
         invalid_key, valid_key = keys
         message = f"the drive of a {model.type} has a {valid_key}, not a {invalid_key}"
-        refuse("SIM061", message, f"{where}.drive.{invalid_key}", f"{valid_key}: ...")
+        refuse(
+            "SIM061", message, f"{location}.drive.{invalid_key}", f"{valid_key}: ..."
+        )
     rotation = np.array(drive.rotation, np.float64)[[1, 2, 3, 0]]
     if not rotation.any():
         message = "the rotation of a drive is a zero quaternion"
-        refuse("SIM061", message, f"{where}.drive")
+        refuse("SIM061", message, f"{location}.drive")
     target = drive.target if model.type == "prismatic" else np.radians(drive.target)
     # Drives act in the joint's axes.
-    axis = _axis_rotation(model, model.name, where)
+    axis = _axis_rotation(model, model.name, location)
     rotation = so3.multiply(so3.conjugate(axis), so3.normalize(rotation))
     rotation = so3.multiply(rotation, axis)
     max_force = -1.0 if drive.most is None else drive.most
@@ -365,26 +371,28 @@ def _drive_parameters(model: RigidJointModel, where: str) -> list[float]:
     return [target, *rotation, drive.stiffness, damping, max_force, speed]
 
 
-def _motor_speed(model: RigidJointModel, drive: JointDriveModel, where: str) -> float:
+def _motor_speed(
+    model: RigidJointModel, drive: JointDriveModel, location: str
+) -> float:
     """Return the speed of a joint motor [rad/s] or [m/s]; 0 without a motor."""
     if drive.speed is None:
         return 0.0
     if model.type == "ball":
         message = "the drive of a ball has no speed: it has no single axis"
-        refuse("SIM061", message, f"{where}.drive.speed", "type: pin")
+        refuse("SIM061", message, f"{location}.drive.speed", "type: pin")
     for key in ("stiffness", "target"):
         if key in drive.model_fields_set:
             message = f"a drive has either a speed or a {key}"
-            refuse("SIM061", message, f"{where}.drive.{key}", "keep one")
+            refuse("SIM061", message, f"{location}.drive.{key}", "keep one")
     if "damping" in drive.model_fields_set and not drive.damping:
         message = "a motor with zero damping has no effect"
         hint = "remove it to make the motor rigid"
-        refuse("SIM061", message, f"{where}.drive.damping", hint)
+        refuse("SIM061", message, f"{location}.drive.damping", hint)
     return drive.speed * (1.0 if model.type == "prismatic" else float(np.pi / 180))
 
 
 def _distance_warnings(
-    bodies: RigidBodies, body: int, frame: FloatArray, name: str, where: str
+    bodies: RigidBodies, body: int, frame: FloatArray, name: str, location: str
 ) -> list[Fault]:
     """Return a warning if a joint is far from the body that it moves (SIM127)."""
     kind, pose = bodies.kind_of(body), bodies.poses[body].at(bodies.begin)
@@ -395,4 +403,4 @@ def _distance_warnings(
     message = f"{name} is {distance:g} m from {bodies.names[body]!r}, which extends "
     hint = "is its `where` in world space?"
     message += f"{kind.bounding_radius:g} m from its centre of mass"
-    return [warning("SIM127", message, hint, f"{where}.at")]
+    return [warning("SIM127", message, hint, f"{location}.at")]

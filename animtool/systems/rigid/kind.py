@@ -33,16 +33,16 @@ from animtool.systems.rigid.cores import (
     convex_pieces,
     core_mesh,
     core_of,
+    core_solid,
     excess_volume,
     is_convex,
     mesh_solid,
     point_inertia,
-    solid_of,
 )
 from animtool.systems.rigid.spec import BodyModel
 
 # Rounding tolerance of the triangle inequality of moments, relative to their sum.
-ROUNDING = 1e-9
+MASS_ROUNDING = 1e-9
 # Smaller masses overflow impulses.
 MIN_MASS = 1e-30  # [kg]
 MIN_MOMENT = 1e-100  # [kg m²]
@@ -86,15 +86,17 @@ class BodyKind:
         return core.transformed(-so3.rotate(to_principal, self.centre), to_principal)
 
 
-def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
+def build_body_kind(model: BodyModel, body_data: Mapping[str, Any]) -> BodyKind:
     """Return the shared properties of a body model; raise SIM061 if it is invalid."""
     refusals = RefusalCollector()
     with refusals.collect():
         refuse_all("SIM061", _mass_problems(model))
     with refusals.collect():
-        shapes = _body_shapes(model, parts)
+        shapes = _body_shapes(model, body_data)
     refusals.check()
-    uses_hull = [bool(part.get("hull")) for part in parts.get("shapes", ())] or [False]
+    uses_hull = [
+        bool(shape_data.get("hull")) for shape_data in body_data.get("shapes", ())
+    ] or [False]
     cores, solids, notices, collision_shapes = [], [], [], []
     display_shapes: list[tuple[Mesh | None, ConvexCore, FloatArray, FloatArray]] = []
     for k, (shape, origin, rotation) in enumerate(shapes):
@@ -106,7 +108,7 @@ def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
             core = core_of(shape)
         except ValueError as error:
             refuse("SIM061", f"a shape of {model.name!r}: {error}", key)
-        solid = solid_of(shape, core)
+        solid = core_solid(shape, core)
         collision_pieces: Sequence[tuple[Shape, ConvexCore]] = [(shape, core)]
         if isinstance(shape, Mesh) and not is_convex(shape, solid):
             is_dynamic = not model.kinematic or model.release is not None
@@ -126,7 +128,7 @@ def build_body_kind(model: BodyModel, parts: Mapping[str, Any]) -> BodyKind:
         solids.append(solid.transformed(origin, rotation))
     mass, centre, inertia = _mass_properties(model, solids)
     moments, axes = principal_inertia(inertia)
-    prototype = parts.get("shows")
+    prototype = body_data.get("shows")
     mesh = prototype()[0] if prototype else _display_mesh(display_shapes)
     return BodyKind(
         model, collision_shapes, cores, mass, centre, moments, axes, mesh, notices
@@ -140,7 +142,7 @@ def _mass_problems(model: BodyModel) -> Iterator[Problem]:
     if model.inertia is None:
         return
     smallest, middle, largest = sorted(model.inertia)
-    if 2 * largest > (smallest + middle + largest) * (1 + ROUNDING):
+    if 2 * largest > (smallest + middle + largest) * (1 + MASS_ROUNDING):
         message = f"no body can have the moments of {model.name!r}, {model.inertia}: "
         yield f"{message}one is larger than the sum of the others", "inertia", None
     elif not middle:
@@ -149,10 +151,10 @@ def _mass_problems(model: BodyModel) -> Iterator[Problem]:
 
 
 def _body_shapes(
-    model: BodyModel, parts: Mapping[str, Any]
+    model: BodyModel, body_data: Mapping[str, Any]
 ) -> list[tuple[Shape, FloatArray, FloatArray]]:
     """Return the shapes of a body, each with its origin and rotation."""
-    entries = zip(model.shapes, parts.get("shapes", ()), strict=True)
+    entries = zip(model.shapes, body_data.get("shapes", ()), strict=True)
     shapes = [
         (
             part["shape"],
@@ -165,7 +167,7 @@ def _body_shapes(
         if shapes:
             message = f"{model.name!r} has both a shape and shapes"
             refuse("SIM061", message, "shapes", "keep one")
-        shapes = [(parts["shape"], np.zeros(3), so3.IDENTITY)]
+        shapes = [(body_data["shape"], np.zeros(3), so3.IDENTITY)]
     if not shapes:
         hint = "shape: {sphere: {radius: 0.1}}"
         refuse("SIM061", f"{model.name!r} has no shape", hint=hint)
@@ -288,10 +290,10 @@ def motion_key_problems(model: BodyModel) -> Iterator[Problem]:
 
 
 def copy_placements(
-    model: BodyModel, parts: Mapping[str, Any]
+    model: BodyModel, body_data: Mapping[str, Any]
 ) -> tuple[FloatArray, FloatArray]:
     """Return positions ``(C, 3)`` and rotations ``(C, 4)`` of copies of a body."""
-    points, rotations = parts.get("points"), parts.get("rotations")
+    points, rotations = body_data.get("points"), body_data.get("rotations")
     if model.grid is not None:
         if points is not None:
             message = f"{model.name!r} has both a grid and points"
@@ -301,9 +303,11 @@ def copy_placements(
             message = f"{model.name!r} has more than {MAX_BODIES} copies"
             refuse("SIM061", message, "grid")
         x, y, z = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
-        cells = np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
-        cells[:, 0] += model.grid.stagger * (cells[:, 1] % 2)
-        points = cells * np.array(model.grid.spacing)
+        grid_positions = (
+            np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
+        )
+        grid_positions[:, 0] += model.grid.stagger * (grid_positions[:, 1] % 2)
+        points = grid_positions * np.array(model.grid.spacing)
     if points is None:
         if rotations is not None:
             refuse("SIM061", "rotations need points", "rotations")
@@ -314,10 +318,10 @@ def copy_placements(
         quaternions = np.asarray(rotations, np.float64)
         if quaternions.shape == (count, 4):
             quaternions = quaternions[:, [1, 2, 3, 0]]
-    for name, array, columns in (("points", points, 3), ("rotations", quaternions, 4)):
-        if array.shape != (count, columns) or not np.isfinite(array).all():
+    for name, array, width in (("points", points, 3), ("rotations", quaternions, 4)):
+        if array.shape != (count, width) or not np.isfinite(array).all():
             message = f"{name} of {model.name!r} have shape {array.shape} or are not "
-            refuse("SIM061", f"{message}finite: they must be {(count, columns)}", name)
+            refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
     if not quaternions.any(axis=1).all():
         message = f"a rotation of {model.name!r} is a zero quaternion"
         refuse("SIM061", message, "rotations")

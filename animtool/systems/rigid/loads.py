@@ -61,15 +61,15 @@ class StepForces:
         return np.asarray(~is_constrained & is_heavier & is_touched)
 
 
-def substeps_for_mass_factors(substeps: int, mass_factors: FloatArray) -> int:
-    """Return the substep count that the mass factors need, at least ``substeps``."""
+def substeps_for_mass_factors(min_count: int, mass_factors: FloatArray) -> int:
+    """Return the substep count that the mass factors need, at least ``min_count``."""
     max_factor = float(mass_factors.max(initial=1.0))
     if not max_factor > MAX_SUBSTEP_MASS_FACTOR:
-        return substeps
+        return min_count
     count = min(
-        substeps * max_factor / MAX_SUBSTEP_MASS_FACTOR, MAX_CONSTRAINED_SUBSTEPS
+        min_count * max_factor / MAX_SUBSTEP_MASS_FACTOR, MAX_CONSTRAINED_SUBSTEPS
     )
-    return max(substeps, math.ceil(count))
+    return max(min_count, math.ceil(count))
 
 
 class StepForceSolver:
@@ -115,7 +115,7 @@ class StepForceSolver:
             step_forces = self._flight_forces(
                 t, dt, body_states, is_constrained, flight
             )
-        self._check(step_forces, t)
+        self._check_forces(step_forces, t)
         return step_forces
 
     def _flight_forces(
@@ -144,20 +144,19 @@ class StepForceSolver:
             flight,
         )
 
-    def _check(self, step_forces: StepForces, t: float) -> None:
+    def _check_forces(self, step_forces: StepForces, t: float) -> None:
         """Raise SIM102 if forces are not finite, or not resolved."""
         is_finite = np.isfinite(step_forces.forces).all(axis=1)
         if step_forces.velocities is not None:
             is_finite &= np.isfinite(step_forces.velocities).all(axis=1)
         if not is_finite.all():
-            body = int(np.argmin(is_finite))
-            message = f"the force on {self._body_label(body)} is not finite"
+            body_index = int(np.argmin(is_finite))
+            message = f"the force on {self._body_label(body_index)} is not finite"
             self._stop(t, message, "weaker forces")
         if step_forces.flight is not None and step_forces.flight.is_unresolved.any():
-            body = int(np.argmax(step_forces.flight.is_unresolved))
-            message = (
-                f"the force on {self._body_label(body)} changes too fast to be resolved"
-            )
+            body_index = int(np.argmax(step_forces.flight.is_unresolved))
+            label = self._body_label(body_index)
+            message = f"the force on {label} changes too fast to be resolved"
             self._stop(t, message, "use a weaker or smoother force")
 
     def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:
@@ -183,18 +182,18 @@ class StepForceSolver:
         self,
         t: float,
         dt: float,
-        substeps: int,
+        substep_count: int,
         body_states: FloatArray,
         is_constrained: BoolArray,
     ) -> int:
         """Return the substep count for bodies constrained by contacts or joints."""
         if not is_constrained.any():
-            return substeps
-        substep = dt / substeps
+            return substep_count
+        substep = dt / substep_count
         flight = self.free_flight(t, substep, body_states)
         assert flight is not None
         mass_factors = np.where(is_constrained, flight.mass_factors, 1.0)
-        max_factor = float(mass_factors.max()) * substeps
+        max_factor = float(mass_factors.max()) * substep_count
         if max_factor > MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS:
             body = int(np.argmax(mass_factors))
             message = f"drag on {self._body_label(body)}, which is in "
@@ -202,7 +201,7 @@ class StepForceSolver:
             factor = MAX_MASS_FACTOR * MAX_CONSTRAINED_SUBSTEPS
             step = plain_number(floor_to_two_digits(dt * factor / max_factor))
             self._stop(t, message, f"use step: {step}, or less drag, or more mass")
-        return substeps_for_mass_factors(substeps, mass_factors)
+        return substeps_for_mass_factors(substep_count, mass_factors)
 
     def _rates(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
         """Return rates of oscillation, and of spin under pushes ``(2, N)`` [rad/s]."""
@@ -216,7 +215,7 @@ class StepForceSolver:
 
     def _body_label(self, body: int) -> str:
         """Return the name of a dynamic body, for messages."""
-        return excerpt(self._bodies.names[self._bodies.dynamic[body]])
+        return excerpt(self._bodies.names[self._bodies.dynamic_indices[body]])
 
     def _stop(self, t: float, reason: str, hint: str) -> None:
         """Raise SIM102 with a reason."""

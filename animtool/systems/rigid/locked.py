@@ -53,7 +53,7 @@ def locked_joints(
     Joints have a kind and two bodies ``(K, 3)``, -1 for static ones, and world frames
     on their first body ``(K, 7)`` [m]; centres of bodies are ``(N, 3)`` [m].
     """
-    locked = []
+    blocked_joints = []
     for loop in _closed_loops(kinds_and_bodies, len(centres)):
         joints = kinds_and_bodies[loop]
         loop_bodies = np.setdiff1d(joints[:, 1:], [-1])
@@ -79,8 +79,10 @@ def locked_joints(
                 null_space_without = _null_space(constraints[:i] + constraints[i + 1 :])
                 if _remaining_motion(free, null_space_without) > LOCKED_MOTION:
                     blocking_joints.append(other_joint)
-            locked.append(LockedJoint(k, tuple(blocking_joints), remaining_motion))
-    return locked
+            blocked_joints.append(
+                LockedJoint(k, tuple(blocking_joints), remaining_motion)
+            )
+    return blocked_joints
 
 
 def locked_notices(joints: Joints, bodies: RigidBodies) -> list[Fault]:
@@ -93,14 +95,18 @@ def locked_notices(joints: Joints, bodies: RigidBodies) -> list[Fault]:
     frames = np.array(joint_frames).reshape(-1, 7)
     names = [joint.name for joint in joints.members]
     notices = []
-    for locked in locked_joints(joints.kinds_and_bodies, frames, states[:, :3]):
-        name = excerpt(names[locked.joint_index])
-        message = f"joint {name} cannot move: {locked.remaining_motion:.1g} of its "
+    for locked_joint in locked_joints(joints.kinds_and_bodies, frames, states[:, :3]):
+        name = excerpt(names[locked_joint.joint_index])
+        message = (
+            f"joint {name} cannot move: {locked_joint.remaining_motion:.1g} of its "
+        )
         message += "motion is left by "
-        if locked.blocking_joints:
-            message += "joint" + "s" * (len(locked.blocking_joints) > 1) + " "
-            message += ", ".join(excerpt(names[k]) for k in locked.blocking_joints[:3])
-            other_count = len(locked.blocking_joints) - 3
+        if locked_joint.blocking_joints:
+            message += "joint" + "s" * (len(locked_joint.blocking_joints) > 1) + " "
+            message += ", ".join(
+                excerpt(names[k]) for k in locked_joint.blocking_joints[:3]
+            )
+            other_count = len(locked_joint.blocking_joints) - 3
             if other_count > 0:
                 message += f" and {counted(other_count, 'more', 'more')}"
         else:
@@ -152,11 +158,11 @@ def _joint_jacobians(
     They map the velocity and scaled spin of each body to relative velocities along
     these directions ``(R, 6 N)``.
     """
-    kind, first, second = joint.tolist()
+    kind, first_body, second_body = joint.tolist()
     axes = so3.to_matrix(joint_frame[3:]).T
     # Translations along all axes, then rotations about them.
     jacobian: FloatArray = np.zeros((6, len(centres), 6))
-    for body, sign in ((second, 1.0), (first, -1.0)):
+    for body, sign in ((second_body, 1.0), (first_body, -1.0)):
         if body >= 0:
             lever_arm = (joint_frame[:3] - centres[body]) / size
             jacobian[:3, body, :3] = jacobian[3:, body, 3:] = sign * axes

@@ -52,10 +52,10 @@ class BodyPhase:
         self, joint_parameters: FloatArray, mass_factors: FloatArray | float = 1.0
     ) -> Any:
         """Return the kernel object with other parameters of the intact joints."""
-        joints, first_collider = self.joints, self.surroundings.first_collider
-        excluded = self.bodies.excluded_pairs(joints.excluded_pairs, first_collider)
+        joints, static_count = self.joints, self.surroundings.first_collider
+        excluded_pairs = self.bodies.excluded_pairs(joints.excluded_pairs, static_count)
         return self.bodies.build_kernel(
-            joints.kinds_and_bodies, joint_parameters, excluded, mass_factors
+            joints.kinds_and_bodies, joint_parameters, excluded_pairs, mass_factors
         )
 
 
@@ -78,7 +78,7 @@ class BodyPhases:
     ) -> None:
         self._bodies, self._joints = bodies, joints
         self._colliders, self._stage_colliders = colliders, stage_colliders
-        release_times = bodies.release_times[bodies.dynamic]
+        release_times = bodies.release_times[bodies.dynamic_indices]
         self._release_times = release_times
         self._phase_starts = np.unique(release_times[np.isfinite(release_times)])
         self._phases: dict[tuple[int, bytes], BodyPhase] = {}
@@ -104,17 +104,17 @@ class BodyPhases:
         if key not in self._phases:
             if len(self._phases) > 1:
                 self._phases.pop(next(iter(self._phases)))
-            self._phases[key] = self._build(index, is_broken)
+            self._phases[key] = self._build_phase(index, is_broken)
         return self._phases[key]
 
-    def _build(self, index: int, is_broken: BoolArray) -> BodyPhase:
+    def _build_phase(self, index: int, is_broken: BoolArray) -> BodyPhase:
         """Build a phase without the broken joints."""
         release_time = self._phase_starts[index - 1] if index else -np.inf
         is_free = np.asarray(~(self._release_times > release_time), np.bool_)
         bodies = self._bodies
         if not is_free.all():
             is_dynamic = bodies.is_dynamic.copy()
-            is_dynamic[bodies.dynamic[~is_free]] = False
+            is_dynamic[bodies.dynamic_indices[~is_free]] = False
             bodies = replace(bodies, is_dynamic=is_dynamic)
         joints, intact_joints = subset_joints(self._joints, self._bodies, bodies)
         if len(is_broken) and is_broken[intact_joints].any():
@@ -126,27 +126,31 @@ class BodyPhases:
             self._colliders.sheets,
             self._colliders.bodies,
         )
-        first_collider = len(self._colliders)
-        surroundings = StepColliders(colliders, first_collider)
-        shapes = self._shape_indices(bodies, len(colliders))
+        static_count = len(self._colliders)
+        surroundings = StepColliders(colliders, static_count)
+        shape_indices = self._shape_indices(bodies, len(colliders))
         return BodyPhase(
-            index, bodies, is_free, joints, intact_joints, surroundings, shapes
+            index, bodies, is_free, joints, intact_joints, surroundings, shape_indices
         )
 
-    def _shape_indices(self, bodies: RigidBodies, colliders: int) -> IntArray:
+    def _shape_indices(self, bodies: RigidBodies, collider_count: int) -> IntArray:
         """Return the indices of shapes and rigid colliders in the full system."""
-        all_bodies, first_collider = self._bodies, len(self._colliders)
+        all_bodies, static_count = self._bodies, len(self._colliders)
         owners = all_bodies.cores_and_bodies[1]
         if bodies is all_bodies:
-            return np.arange(len(owners) + colliders)
-        first_shapes = np.searchsorted(owners, np.arange(len(all_bodies.dynamic)))
-        dynamic = all_bodies.dynamic.tolist()
-        first_shape_of_body = dict(zip(dynamic, first_shapes.tolist(), strict=True))
+            return np.arange(len(owners) + collider_count)
+        first_shape_indices = np.searchsorted(
+            owners, np.arange(len(all_bodies.dynamic_indices))
+        )
+        dynamic = all_bodies.dynamic_indices.tolist()
+        first_shape_of_body = dict(
+            zip(dynamic, first_shape_indices.tolist(), strict=True)
+        )
         shapes: list[int] = []
-        for i in bodies.dynamic.tolist():
+        for i in bodies.dynamic_indices.tolist():
             start = first_shape_of_body[i]
             shapes += range(start, start + len(all_bodies.kind_of(i).cores))
-        next_collider = len(owners) + first_collider
+        next_collider = len(owners) + static_count
         shapes += range(len(owners), next_collider)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             # Bodies that are never dynamic only have colliders.

@@ -127,7 +127,7 @@ def _physics_shape(
 def _physics_joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
     """Yield joints as UsdPhysics records."""
     type_names = {number: kind for kind, number in JOINT_KINDS.items()}
-    dynamic = bodies.dynamic
+    dynamic = bodies.dynamic_indices
     excluded_pairs = {
         pair for a, b in joints.excluded_pairs.tolist() for pair in ((a, b), (b, a))
     }
@@ -170,7 +170,7 @@ def body_entries(
 
     Faults are located at the key of the stage in the spec.
     """
-    models, parts = [], []
+    models, body_data = [], []
     for body in physics.bodies:
         first_shape = body.shapes[0]
         keys: dict[str, Any] = {
@@ -208,8 +208,8 @@ def body_entries(
             for shape in body.shapes
         ]
         location = {"entry": entry_key, "origin": body.origin}
-        parts.append({"poses": poses, "shapes": shapes, **location})
-    return models, parts
+        body_data.append({"poses": poses, "shapes": shapes, **location})
+    return models, body_data
 
 
 def _body_model(keys: dict[str, Any], origin: str, entry_key: str) -> BodyModel:
@@ -243,7 +243,7 @@ def stage_joints(
     physics: Physics, bodies: RigidBodies, first_body: int
 ) -> list[BodyJoint]:
     """Return the joints of a stage, whose bodies start at a given index."""
-    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic)}
+    dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
     joints = []
     for joint in physics.joints:
         body_pair = [i if i < 0 else i + first_body for i in joint.bodies]

@@ -45,7 +45,7 @@ _JOINT_TYPES = {
 
 @dataclass(frozen=True, slots=True)
 class RagdollOptions:
-    """Options of a ragdoll."""
+    """Options of the pass `ragdoll`: frames, mass, joints and colliders."""
 
     start: float | None = None  # start frame; None for the first
     end: float | None = None  # frame at which the take resumes; None for never
@@ -121,12 +121,12 @@ def _body_kinds(
     kinds: list[BodyKind] = []
     for j in joints.tolist():
         shapes = []
-        for capsule in np.flatnonzero(capsules.joints == j).tolist():
-            if not radii[capsule] > 0:
+        for capsule_index in np.flatnonzero(capsules.joints == j).tolist():
+            if not radii[capsule_index] > 0:
                 message = f"a collider of joint {rig.joints[j].name!r} has no size"
                 hint = "give its capsule a radius above 0"
                 raise OptionError(Fault("SIM062", message, hint=hint))
-            radius, (a, b) = float(radii[capsule]), ends[capsule]
+            radius, (a, b) = float(radii[capsule_index]), ends[capsule_index]
             length = float(np.linalg.norm(b - a))
             axis = (b - a) / length if length else np.array([0.0, 1.0, 0.0])
             shapes.append(Capsule(radius, length, tuple(axis), tuple((a + b) / 2)))
@@ -138,8 +138,8 @@ def _body_kinds(
                 "friction": options.friction,
             }
         )
-        parts = {"shapes": [{"shape": shape} for shape in shapes]}
-        kinds.append(build_body_kind(model, parts))
+        body_data = {"shapes": [{"shape": shape} for shape in shapes]}
+        kinds.append(build_body_kind(model, body_data))
     if rig.masses:
         kinds = _replace_masses(rig, world, joints, kinds)
     if options.mass is None:
@@ -312,16 +312,16 @@ def _replace_masses(
         if body is not None:
             masses_by_body.setdefault(body, []).append(mass)
     rotations = so3.split_scale(world.linear[0])[0]
-    result = list(kinds)
+    new_kinds = list(kinds)
     for body, masses in masses_by_body.items():
         kind, joint = kinds[body], int(joints[body])
         if all(mass.inertia is None for mass in masses):
             total_mass = sum(mass.mass for mass in masses)
             moments = kind.moments * (total_mass / kind.mass)
-            result[body] = replace(kind, mass=total_mass, moments=moments)
+            new_kinds[body] = replace(kind, mass=total_mass, moments=moments)
         else:
-            result[body] = _combined_body(rig, world, rotations, joint, masses, kind)
-    return result
+            new_kinds[body] = _combined_body(rig, world, rotations, joint, masses, kind)
+    return new_kinds
 
 
 def _combined_body(

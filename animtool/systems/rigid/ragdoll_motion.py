@@ -59,11 +59,13 @@ class DriveTargets:
         fraction = float(np.clip((t - self.times[k]) / duration, 0, 1))
         for i, j in enumerate(self.ragdoll.joints.tolist()):
             joint, coordinate = self.ragdoll.rig.joints[j], self.coordinate_slices[j]
-            before, after = self.coordinates[k : k + 2, coordinate]
+            start_values, end_values = self.coordinates[k : k + 2, coordinate]
             if joint.type in (JointType.PIN, JointType.PRISMATIC):
-                targets[i, 0] = (before + fraction * (after - before))[0]
+                targets[i, 0] = (start_values + fraction * (end_values - start_values))[
+                    0
+                ]
             elif joint.type in (JointType.BALL, JointType.FREE):
-                rotation = so3.slerp(before[-4:], after[-4:], fraction)
+                rotation = so3.slerp(start_values[-4:], end_values[-4:], fraction)
                 axes = self.ragdoll.axes[i]
                 rotation_in_axes = so3.multiply(so3.conjugate(axes), rotation)
                 targets[i, 1:] = so3.multiply(rotation_in_axes, axes)
@@ -81,8 +83,10 @@ def ragdoll_velocities(
     rotations = so3.split_scale(world.linear[frames, ragdoll.joints])[0]
     spins = so3.log(so3.multiply(rotations[1], so3.conjugate(rotations[0]))) / duration
     rigid_bodies = ragdoll.bodies
-    arms = so3.rotate(rotations[1], rigid_bodies.centres)
-    velocities = (positions[1] - positions[0]) / duration + np.cross(spins, arms)
+    centre_offsets = so3.rotate(rotations[1], rigid_bodies.centres)
+    velocities = (positions[1] - positions[0]) / duration + np.cross(
+        spins, centre_offsets
+    )
     axes = rigid_bodies.initial_states[:, 3:7]
     momenta_local = so3.rotate(so3.conjugate(axes), spins) * rigid_bodies.moments
     return np.concatenate([velocities, so3.rotate(axes, momenta_local)], axis=1)
@@ -112,9 +116,9 @@ def ragdoll_transforms(
     root_bodies = np.flatnonzero(ragdoll.parent_bodies < 0).tolist()
     root_joints = {movable_root(rig, int(ragdoll.joints[i])): i for i in root_bodies}
     body_of_joint |= root_joints
-    frame_count, joints = len(body_origins), len(rig.joints)
-    positions = np.zeros((frame_count, joints, 3))
-    world_rotations = np.zeros((frame_count, joints, 4))
+    frame_count, joint_count = len(body_origins), len(rig.joints)
+    positions = np.zeros((frame_count, joint_count, 3))
+    world_rotations = np.zeros((frame_count, joint_count, 4))
     for j, joint in enumerate(rig.joints):
         if j in bodiless_ancestors:
             new_translations[:, j] = local_translations[0, j]

@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.framework.simulation import added, growing
+from animtool.systems.framework.simulation import field_added_later, growing_field
 from animtool.systems.framework.surfaces import SystemBodies
 from animtool.systems.rigid.bodies import RigidBodies
 
@@ -25,9 +25,9 @@ class RigidState:
     # [s] (N, 14).
     motion: FloatArray
     # The two shapes of each contact point (M, 2).
-    pairs: IntArray = field(metadata=growing())
+    pairs: IntArray = field(metadata=growing_field())
     # Position of each contact point on the first body [m], and its force [N] (M, 6).
-    contacts: FloatArray = field(metadata=growing())
+    contacts: FloatArray = field(metadata=growing_field())
     held: FloatArray  # constraint impulses of joints (K, 12)
     # Largest penetration depth so far, and in the first step [m] (2,).
     deepest: FloatArray
@@ -41,9 +41,9 @@ class RigidState:
     awake: int = 0  # number of bodies that are awake
     residual: float = 0.0  # change of velocities in the last iteration [m/s]
     # Largest step that resolves the fastest oscillating drive [s].
-    follows: float = field(default=0.0, metadata=added())
+    follows: float = field(default=0.0, metadata=field_added_later())
     # Joint of that drive; -1 is none.
-    swinging: int = field(default=-1, metadata=added())
+    swinging: int = field(default=-1, metadata=field_added_later())
 
 
 class RigidStates:
@@ -60,7 +60,7 @@ class RigidStates:
         bodies = self.bodies
         frames = np.zeros((len(bodies.names), 7))
         origins, rotations = bodies.body_frames(state.motion)
-        frames[bodies.dynamic] = np.concatenate([origins, rotations], axis=1)
+        frames[bodies.dynamic_indices] = np.concatenate([origins, rotations], axis=1)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             frames[i] = bodies.poses[i].at(t)
         return frames
@@ -79,7 +79,7 @@ class RigidStates:
         bodies, shapes = self.bodies, self.bodies.collision_shapes
         return SystemBodies(
             bodies.names,
-            bodies.dynamic,
+            bodies.dynamic_indices,
             bodies.masses,
             [float(bodies.kinds[k].bounding_radius) for k in bodies.kind_of_body],
             shapes.colliders,
@@ -100,7 +100,7 @@ class RigidStates:
             angular_impulses = moments - np.cross(state.motion[:, :3], impulses)
             return impulses / bodies.masses[:, None], angular_impulses
 
-        displacement, twist = velocity_changes(wrenches.delayed)
+        displacement, twist = velocity_changes(wrenches.delayed_impulses)
         twisted_motion = motion.copy()
         twisted_motion[:, 10:13] = twist
         motion[:, :3] += displacement
@@ -142,8 +142,8 @@ class RigidStates:
         along unit vectors ``(K, 3)``.
         """
         motion, moments = state.motion[owners], self.bodies.moments[owners]
-        arms = np.cross(points - motion[:, :3], directions)
-        squares = so3.rotate(so3.conjugate(motion[:, 3:7]), arms) ** 2
+        lever_arms = np.cross(points - motion[:, :3], directions)
+        squares = so3.rotate(so3.conjugate(motion[:, 3:7]), lever_arms) ** 2
         rotational = np.zeros_like(squares)
         np.divide(squares, moments, out=rotational, where=moments > 0)
         return np.asarray(1 / self.bodies.masses[owners] + rotational.sum(axis=1))

@@ -56,20 +56,20 @@ MAX_MOMENTUM = 1e100  # angular momenta [kg m²/s]
 
 def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
     """Build the simulation of a spec; raise SIM020 or SIM061 if a key is invalid."""
-    parts, colliders = context.parts, context.colliders
-    stages: Sequence[Physics] = parts.get("stages", ())
-    models, body_parts = list(spec.bodies), list(parts.get("bodies", ()))
+    entry_data, colliders = context.parts, context.colliders
+    stages: Sequence[Physics] = entry_data.get("stages", ())
+    models, body_data = list(spec.bodies), list(entry_data.get("bodies", ()))
     for k, stage in enumerate(stages):
         stage_models = body_entries(stage, f"stages[{k}].prim")
         models += stage_models[0]
-        body_parts += stage_models[1]
+        body_data += stage_models[1]
     refusals = RefusalCollector()
     with refusals.collect():
-        bodies = RigidBodies.from_models(models, body_parts, context.begin)
+        bodies = RigidBodies.from_models(models, body_data, context.begin)
     with refusals.collect():
         check_joints(spec.joints, models)
     refusals.check()
-    joints = build_joints(spec.joints, parts.get("joints", ()), bodies)
+    joints = build_joints(spec.joints, entry_data.get("joints", ()), bodies)
     first_stage_body = len(bodies.names) - sum(len(stage.bodies) for stage in stages)
     stage_colliders: list[Collider] = []
     for stage in stages:
@@ -77,7 +77,7 @@ def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
         joints = Joints(members, [*joints.notices, *stage.notices])
         first_stage_body += len(stage.bodies)
         stage_colliders += static_colliders(stage)
-    forces = parts.get("forces", ())
+    forces = entry_data.get("forces", ())
     return RigidSimulation(
         spec, context.begin, bodies, joints, colliders, forces, stage_colliders
     )
@@ -115,7 +115,7 @@ class RigidSimulation(RigidStates):
         )
 
     def initial(self) -> RigidState:
-        """Return the initial state."""
+        """Return all bodies at the start, without contacts or broken joints."""
         count = len(self.joints)
         return RigidState(
             self.bodies.initial_states,
@@ -125,7 +125,7 @@ class RigidSimulation(RigidStates):
             np.zeros(2),
             np.full((2, 2), -1),
             np.tile([np.inf, 0.0, 0.0], (count if self.joints.is_breakable else 0, 1)),
-            awake=len(self.bodies.dynamic),
+            awake=len(self.bodies.dynamic_indices),
         )
 
     def incompatibility(self, state: RigidState, t: float) -> str:
@@ -143,48 +143,52 @@ class RigidSimulation(RigidStates):
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
         """Return the state after a step [s], in the substeps that forces require."""
-        substeps = self._force_solver.required_substeps(t, dt, state.motion)
+        substep_count = self._force_solver.required_substeps(t, dt, state.motion)
         if self._forces.is_variable:
             is_constrained = self._is_constrained(state, t, dt)
-            substeps = self._force_solver.constrained_substeps(
-                t, dt, substeps, state.motion, is_constrained
+            substep_count = self._force_solver.constrained_substeps(
+                t, dt, substep_count, state.motion, is_constrained
             )
         while True:
-            after, required_substeps = self._take_substeps(state, t, dt, substeps)
-            if required_substeps == substeps:
-                return after
-            substeps = required_substeps
+            next_state, required_substeps = self._take_substeps(
+                state, t, dt, substep_count
+            )
+            if required_substeps == substep_count:
+                return next_state
+            substep_count = required_substeps
 
     def _take_substeps(
-        self, state: RigidState, t: float, dt: float, substeps: int
+        self, state: RigidState, t: float, dt: float, substep_count: int
     ) -> tuple[RigidState, int]:
         """Return the state after substeps, and the number of substeps needed.
 
         More are needed if a body in free flight with drag hits something.
         """
-        substep = dt / substeps
-        for k in range(substeps):
+        substep = dt / substep_count
+        for k in range(substep_count):
             time, motion = t + k * substep, state.motion
             is_constrained = self._is_constrained(state, time, substep)
             solver = self._force_solver
             flight = solver.free_flight(time, substep, motion)
             forces = solver.step_forces(time, substep, motion, is_constrained, flight)
-            after = self._solve(state, forces, time, substep)
-            is_hit = forces.unexpected_contacts(after.motion[:, 7:10], is_constrained)
+            next_state = self._solve(state, forces, time, substep)
+            is_hit = forces.unexpected_contacts(
+                next_state.motion[:, 7:10], is_constrained
+            )
             if is_hit.any():
                 assert flight is not None
                 required_substeps = substeps_for_mass_factors(
-                    substeps, flight.mass_factors[is_hit]
+                    substep_count, flight.mass_factors[is_hit]
                 )
-                if required_substeps > substeps:
+                if required_substeps > substep_count:
                     return state, required_substeps
                 is_constrained = is_constrained | is_hit
                 forces = solver.step_forces(
                     time, substep, motion, is_constrained, flight
                 )
-                after = self._solve(state, forces, time, substep)
-            state = after
-        return state, substeps
+                next_state = self._solve(state, forces, time, substep)
+            state = next_state
+        return state, substep_count
 
     def _current_phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
         """Return the phase of a step at a time [s]."""
@@ -217,20 +221,22 @@ class RigidSimulation(RigidStates):
         phase = self._current_phase(state, t, dt)
         is_same_phase = phase.phase_index == self._phases.phase_index(t - dt, dt)
         is_free = phase.is_free
-        result = _kernels.step_rigid(
+        kernel_result = _kernels.step_rigid(
             self._kernel_arrays(phase, step_forces, t + dt),
             motion[is_free],
             state.pairs if is_same_phase else state.pairs[:0],
             state.contacts if is_same_phase else state.contacts[:0],
             state.held[phase.intact_joints],
             step_forces.forces[is_free],
-            phase.surroundings.arrays(t, t + dt),
+            phase.surroundings.kernel_arrays(t, t + dt),
             phase.joints.anchor_frames(t, t + dt),
             dt,
             *self._kernel_settings,
         )
-        next_motion, pairs, contacts, impulses, depth, residual, pressing = result[:7]
-        awake = result[8]
+        next_motion, pairs, contacts, impulses, depth, residual, pressing = (
+            kernel_result[:7]
+        )
+        awake = kernel_result[8]
         if not is_free.all():
             motion = motion.copy()
             motion[is_free] = next_motion
@@ -241,12 +247,15 @@ class RigidSimulation(RigidStates):
         deepest, deepest_pairs = state.deepest.copy(), state.deepest_pairs.copy()
         for k, is_deeper in enumerate((depth > deepest[0], t == self._begin)):
             if is_deeper:
-                pair = np.array(result[10:12])
+                pair = np.array(kernel_result[10:12])
                 full_pair = phase.full_shape_indices(pair)
                 deepest[k] = depth
                 deepest_pairs[k] = np.where(pair < 0, pair, full_pair)
         broken, impulses = self._break_joints(state, phase, impulses, t + dt)
-        max_step, oscillating_joint = result[12] * self._spec.step / dt, result[13]
+        max_step, oscillating_joint = (
+            kernel_result[12] * self._spec.step / dt,
+            kernel_result[13],
+        )
         is_faster = state.swinging < 0 or max_step < state.follows
         is_worse = oscillating_joint >= 0 and is_faster
         return RigidState(
@@ -271,7 +280,7 @@ class RigidSimulation(RigidStates):
         if is_finite.all():
             return
         first_diverged = int(np.flatnonzero(~is_finite)[0])
-        name = self.bodies.names[self.bodies.dynamic[first_diverged]]
+        name = self.bodies.names[self.bodies.dynamic_indices[first_diverged]]
         scaled_velocity = motion[first_diverged, 7:10] / MAX_POSITION
         speed = float(np.linalg.norm(scaled_velocity)) * MAX_POSITION
         message = f"{self._spec.name} blew up at {t:g} s: {name!r} is at {speed:g} m/s"
@@ -305,10 +314,10 @@ class RigidSimulation(RigidStates):
             return state.broken, all_impulses
         forces_and_torques = joint_forces_and_torques(phase.joints, impulses)
         is_broken = (forces_and_torques > phase.joints.break_limits).any(axis=1)
-        broken = state.broken.copy()
-        broken[phase.intact_joints[is_broken], 0] = t
-        broken[phase.intact_joints[is_broken], 1:] = forces_and_torques[is_broken]
-        return broken, all_impulses
+        break_rows = state.broken.copy()
+        break_rows[phase.intact_joints[is_broken], 0] = t
+        break_rows[phase.intact_joints[is_broken], 1:] = forces_and_torques[is_broken]
+        return break_rows, all_impulses
 
     def _wake_sleepers(
         self, motion: FloatArray, step_forces: StepForces, t: float, dt: float
@@ -333,18 +342,20 @@ class RigidSimulation(RigidStates):
         count = len(bodies.names)
         points, velocities, spins = np.zeros((3, count, 3))
         rotations = np.tile(so3.IDENTITY, (count, 1))
-        dynamic = bodies.dynamic
+        dynamic = bodies.dynamic_indices
         points[dynamic], rotations[dynamic] = bodies.body_frames(motion)
         spins[dynamic] = bodies.spins(motion)
-        arms = points[dynamic] - motion[:, :3]
-        velocities[dynamic] = motion[:, 7:10] + so3.cross(spins[dynamic], arms)
+        centre_offsets = points[dynamic] - motion[:, :3]
+        velocities[dynamic] = motion[:, 7:10] + so3.cross(
+            spins[dynamic], centre_offsets
+        )
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             pose, step = bodies.poses[i].at(t), self._spec.step
-            before = bodies.poses[i].at(t - step / 2)
-            after = bodies.poses[i].at(t + step / 2)
+            earlier_pose = bodies.poses[i].at(t - step / 2)
+            later_pose = bodies.poses[i].at(t + step / 2)
             points[i], rotations[i] = pose[:3], pose[3:]
-            velocities[i] = (after[:3] - before[:3]) / step
-            rotation = so3.multiply(after[3:], so3.conjugate(before[3:]))
+            velocities[i] = (later_pose[:3] - earlier_pose[:3]) / step
+            rotation = so3.multiply(later_pose[3:], so3.conjugate(earlier_pose[3:]))
             spins[i] = so3.log(rotation) / step
         return TransformsFrame(
             np.arange(count),
@@ -403,9 +414,15 @@ class RigidSimulation(RigidStates):
     def _shape_names(self) -> list[str]:
         """Return the body name of each shape, followed by the collider names."""
         bodies, colliders = self.bodies, self._colliders
-        names = [bodies.names[bodies.dynamic[i]] for i in bodies.cores_and_bodies[1]]
-        names += [one.name or f"colliders[{i}]" for i, one in enumerate(colliders)]
+        names = [
+            bodies.names[bodies.dynamic_indices[i]] for i in bodies.cores_and_bodies[1]
+        ]
+        names += [
+            collider.name or f"colliders[{i}]" for i, collider in enumerate(colliders)
+        ]
         names += [sheet.name for sheet in colliders.sheets]
         return names + [
-            one.name for system in colliders.bodies for one in system.colliders
+            collider.name
+            for system in colliders.bodies
+            for collider in system.colliders
         ]

@@ -29,10 +29,10 @@ class BodyForces:
     ) -> None:
         self._bodies, self.forces, self._begin = bodies, forces, begin
         # Whether any force depends on position, velocity or time.
-        self.is_variable = any(force.varies for force in forces)
+        self.is_variable = any(force.is_variable for force in forces)
         self._pushes = [
             (body, push)
-            for body, i in enumerate(bodies.dynamic.tolist())
+            for body, i in enumerate(bodies.dynamic_indices.tolist())
             for push in bodies.kinds[bodies.kind_of_body[i]].model.pushes
         ]
 
@@ -78,10 +78,10 @@ class BodyForces:
         """Return Jacobians of accelerations by position and velocity ``(N, 3, 3)``."""
         jacobians = np.zeros((2, len(x), 3, 3))
         for force in self.forces:
-            if force.varies:
+            if force.is_variable:
                 jacobians += force.jacobians(t, x, v, self._particles)
-        by_position, by_speed = jacobians / self._bodies.masses[:, None, None]
-        return by_position, by_speed
+        by_position, by_velocity = jacobians / self._bodies.masses[:, None, None]
+        return by_position, by_velocity
 
     def oscillation_rates(
         self, t: float, dt: float, body_states: FloatArray
@@ -154,7 +154,7 @@ class BodyForces:
     def _particles(self) -> ParticleState:
         """Dynamic bodies as particles, for force fields."""
         bodies = self._bodies
-        count = len(bodies.dynamic)
+        count = len(bodies.dynamic_indices)
         return ParticleState(
             np.arange(count),
             bodies.masses,
@@ -177,25 +177,27 @@ class StepColliders:
     def __init__(self, colliders: Colliders, first_collider: int = 0) -> None:
         self.colliders, self.first_collider = colliders, first_collider
         # Surface points of the last step, and all colliders with those surfaces.
-        self._cached: tuple[list[FloatArray], Colliders] | None = None
+        self._cached_colliders: tuple[list[FloatArray], Colliders] | None = None
 
-    def arrays(self, t: float, end: float) -> tuple[Any, ...]:
+    def kernel_arrays(self, t: float, end: float) -> tuple[Any, ...]:
         """Return the colliders of a step as kernel arrays."""
         sheets = self.colliders.sheets
         if not sheets:
-            return self.colliders.arrays(t, end)
+            return self.colliders.kernel_arrays(t, end)
         positions = [point for sheet in sheets for point in _end_points(sheet, t, end)]
-        cached = self._cached
-        if cached is None or any(
+        cached_colliders = self._cached_colliders
+        if cached_colliders is None or any(
             old_points is not new_points
-            for old_points, new_points in zip(cached[0], positions, strict=True)
+            for old_points, new_points in zip(
+                cached_colliders[0], positions, strict=True
+            )
         ):
             sheet_colliders = [_rigid_collider(sheet, t, end) for sheet in sheets]
             step_colliders = Colliders(
                 [*self.colliders, *sheet_colliders], (), self.colliders.bodies
             )
-            cached = self._cached = positions, step_colliders
-        return cached[1].arrays(t, end)
+            cached_colliders = self._cached_colliders = positions, step_colliders
+        return cached_colliders[1].kernel_arrays(t, end)
 
 
 def _end_points(sheet: Sheet, t: float, end: float) -> tuple[FloatArray, FloatArray]:

@@ -60,7 +60,7 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         options: Frames of the fall, and parameters of the ragdoll.
         context: Receives the progress and the notices.
     """
-    _check(options)
+    _check_ranges(options)
     clock, rig = take.clock, take.rig
     frames = np.array([float(clock.start + clock.step * k) for k in range(clock.count)])
     times = (frames - frames[0]) / float(clock.fps)
@@ -86,7 +86,9 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     targets = DriveTargets(ragdoll, drive_times, coordinates, slices)
     speeds = ragdoll_velocities(ragdoll, world, times, first_index)
     start_time = float(times[first_index])
-    colliders = Colliders([_shift_times(one, start_time) for one in options.colliders])
+    colliders = Colliders(
+        [_shift_times(collider, start_time) for collider in options.colliders]
+    )
     run = _start_run(ragdoll, options, targets, speeds, colliders)
     origins, frame_rotations = [], []
     for k in range(first_index, clock.count):
@@ -104,18 +106,18 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         rotations[first_index:],
     )
     weights = _blend_weights(frames, first_index, last_index, options)[first_index:]
-    blended = [translations.copy(), rotations.copy()]
+    blended_values = [translations.copy(), rotations.copy()]
     changes = fall_transforms[0] - translations[first_index:]
-    blended[0][first_index:] += weights[:, None, None] * changes
-    blended[1][first_index:] = so3.slerp(
+    blended_values[0][first_index:] += weights[:, None, None] * changes
+    blended_values[1][first_index:] = so3.slerp(
         rotations[first_index:],
         so3.align_signs(fall_transforms[1], rotations[first_index]),
         np.broadcast_to(weights[:, None], fall_transforms[1].shape[:2]),
     )
     motion = replace(
         take.motion,
-        translations=Channel.from_dense(blended[0]),
-        rotations=Channel.from_dense(so3.align_signs(blended[1])),
+        translations=Channel.from_dense(blended_values[0]),
+        rotations=Channel.from_dense(so3.align_signs(blended_values[1])),
     )
     context.notices.extend(_start_notices(ragdoll, colliders, options.mass))
     if options.end is None and not len(colliders):
@@ -167,8 +169,8 @@ def _blend_weights(
     """Return blend weights of the fall by frame ``(F,)``, smooth at both ends."""
 
     def smooth_ramp(frames: FloatArray) -> FloatArray:
-        linear = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
-        fraction = np.asarray(linear, np.float64)
+        ramp = np.clip(frames / options.blend, 0, 1) if options.blend else frames >= 0
+        fraction = np.asarray(ramp, np.float64)
         return fraction * fraction * (3 - 2 * fraction)
 
     rise_weights = smooth_ramp(frames - frames[first_index])
@@ -183,13 +185,13 @@ def _frame_index(
     """Return the index of a frame of an option; raise SIM062 if it is missing."""
     if frame is None:
         return default
-    matches = np.flatnonzero(np.abs(frames - frame) < 1e-6)
-    if not len(matches):
+    matching_indices = np.flatnonzero(np.abs(frames - frame) < 1e-6)
+    if not len(matching_indices):
         message = f"{option} is frame {frame:g}, but the take has {frames[0]:g} to "
         message += f"{frames[-1]:g}"
         hint = _start_hint(frames) if option == "start" else None
         raise OptionError(Fault("SIM062", message, hint=hint, where=option))
-    return int(matches[0])
+    return int(matching_indices[0])
 
 
 def _start_hint(frames: FloatArray) -> str | None:
@@ -228,11 +230,11 @@ def _start_notices(
         ]
         # Only a body without any point outside is inside.
         depths[i] = -np.concatenate(gaps, axis=1).max(axis=1)
-    (inside,) = np.nonzero((depths > MIN_DEPTH).any(axis=1))
-    if not len(inside):
+    (inside_indices,) = np.nonzero((depths > MIN_DEPTH).any(axis=1))
+    if not len(inside_indices):
         return notices
     c = int(depths.max(axis=0).argmax())
-    count = f"{len(inside)} of {counted(len(ragdoll.joints), 'body', 'bodies')}"
+    count = f"{len(inside_indices)} of {counted(len(ragdoll.joints), 'body', 'bodies')}"
     message = f"{count} start wholly inside {colliders.label(c)}, up to "
     message += f"{length_text(float(depths.max()))} deep, and are pushed out"
     hint = "move it away from the rig; the ground is usually at 0"
@@ -248,14 +250,16 @@ def _free_fall_notices(
     numbers ``(F,)``.
     """
     up = np.array(rig.up.vector, np.float64)
-    last = motion.select(slice(motion.frames - 1, motion.frames))
-    translations, rotations, scales = last.dense()
-    end = forward_kinematics(rig, translations, rotations, scales).positions[0] @ up
-    lowest = float((world.positions @ up).min())
-    if lowest - end.max() < MIN_FALL:
+    last_frame = motion.select(slice(motion.frames - 1, motion.frames))
+    translations, rotations, scales = last_frame.dense()
+    end_height = (
+        forward_kinematics(rig, translations, rotations, scales).positions[0] @ up
+    )
+    min_height = float((world.positions @ up).min())
+    if min_height - end_height.max() < MIN_FALL:
         return []
     message = "there are no colliders: the body falls freely, to "
-    message += f"{rig.up.lower()} = {end.max():.3g} m at frame {frames[-1]:g}"
+    message += f"{rig.up.lower()} = {end_height.max():.3g} m at frame {frames[-1]:g}"
     plane = "" if rig.up is UpAxis.Y else "normal: [0, 0, 1]"
     hint = f"add a floor: colliders: [{{shape: {{plane: {{{plane}}}}}}}]"
     return [warning("SIM201", message, hint)]
@@ -304,7 +308,7 @@ def _run_notices(
     return notices + [notice for notice in run.notices if notice.code != "SIM126"]
 
 
-def _check(options: RagdollOptions, option: str = "") -> None:
+def _check_ranges(options: RagdollOptions, option: str = "") -> None:
     """Raise the faults of all options, or of the named option only."""
     faults = [fault for fault in range_faults(options) if option in ("", fault.where)]
     has_density = options.density != RagdollOptions().density
@@ -315,9 +319,12 @@ def _check(options: RagdollOptions, option: str = "") -> None:
         raise OptionError(faults)
 
 
-def _checks(options: RagdollOptions) -> OptionChecks:
+def _range_checks(options: RagdollOptions) -> OptionChecks:
     """Return the checks of the options, by option."""
-    return {name: partial(_check, options, name) for name in ranges_of(RagdollOptions)}
+    return {
+        name: partial(_check_ranges, options, name)
+        for name in ranges_of(RagdollOptions)
+    }
 
 
 PASS = Pass(
@@ -326,7 +333,7 @@ PASS = Pass(
     RagdollOptions,
     FrameScope.CLIP,
     apply_ragdoll,
-    _checks,
+    _range_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS}),
     reports_progress=True,

@@ -91,7 +91,9 @@ def passive_springs(
         if parent_bodies[i] >= 0:
             supported_masses[parent_bodies[i]] += supported_masses[i]
             weighted_centres[parent_bodies[i]] += weighted_centres[i]
-    arms = np.linalg.norm(weighted_centres / supported_masses[:, None] - pivots, axis=1)
-    stiffness = STIFFNESS_FRACTION * supported_masses * GRAVITY * arms
-    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * supported_masses) * arms
+    lever_arms = np.linalg.norm(
+        weighted_centres / supported_masses[:, None] - pivots, axis=1
+    )
+    stiffness = STIFFNESS_FRACTION * supported_masses * GRAVITY * lever_arms
+    damping = 2 * DAMPING_RATIO * np.sqrt(stiffness * supported_masses) * lever_arms
     return np.stack([stiffness, damping], axis=1)

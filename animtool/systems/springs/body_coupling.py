@@ -65,7 +65,7 @@ class BodyCoupling:
         for attachment in self.attachments:
             carrier = self.carriers[attachment.carrier]
             system = carrier.system.shared
-            is_body = system.dynamic == attachment.body
+            is_body = system.dynamic_indices == attachment.body
             mass = float(carrier.masses[is_body].min(initial=np.inf))
             masses.append((mass, system.names[attachment.body]))
         mass, name = min(masses)
@@ -154,7 +154,7 @@ class CoupledCell:
         """Yield the dynamic bodies that carry particles."""
         carriers = self._coupling.carriers
         for k, step in enumerate(self._steps):
-            dynamic = carriers[k].system.shared.dynamic
+            dynamic = carriers[k].system.shared.dynamic_indices
             for index, body in enumerate(dynamic.tolist()):
                 attachments = enumerate(self._coupling.attachments)
                 indices = [

@@ -14,7 +14,7 @@ from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.sim.trajectory import Trajectory
-from animtool.systems.framework.simulation import growing, later
+from animtool.systems.framework.simulation import field_set_later, growing_field
 from animtool.systems.springs.body import TornFlags
 from animtool.systems.springs.records import Solver
 
@@ -48,15 +48,17 @@ class SpringState:
     least: int  # lower limit of the steps in a cell of xpbd
     calm: int = 0  # consecutive cells of xpbd for which fewer steps sufficed
     # Motion one step earlier, for bdf2.
-    before: FloatArray | None = field(default=None, metadata=later(np.ndarray))
+    before: FloatArray | None = field(
+        default=None, metadata=field_set_later(np.ndarray)
+    )
     # Particles that pierced the surface ``(C, 3)``: particle, triangle, side.
     passages: IntArray = field(
-        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing()
+        default_factory=lambda: np.zeros((0, 3), np.int64), metadata=growing_field()
     )
     # Impulse and moment on each pin in the last step, for pins on bodies ``(H, 6)``.
-    pulls: FloatArray | None = field(default=None, metadata=later(np.ndarray))
+    pulls: FloatArray | None = field(default=None, metadata=field_set_later(np.ndarray))
     # Warm start of the coupling to bodies, as `CoupledSolution.warm_start`.
-    known: FloatArray | None = field(default=None, metadata=later(np.ndarray))
+    known: FloatArray | None = field(default=None, metadata=field_set_later(np.ndarray))
 
 
 @dataclass(frozen=True, slots=True)

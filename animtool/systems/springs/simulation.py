@@ -21,7 +21,7 @@ from animtool.systems.framework.run import STEP_TOLERANCE
 from animtool.systems.framework.simulation import (
     Diagnostics,
     Progress,
-    Stepped,
+    SteppedState,
     StoppedError,
     TrialSettings,
 )
@@ -103,7 +103,7 @@ class SpringSimulation(MotionCounts):
 
     def step(
         self, state: SpringState, t: float, dt: float
-    ) -> SpringState | Stepped[SpringState]:
+    ) -> SpringState | SteppedState[SpringState]:
         """Return the state after a cell, or within the cell; raise SIM102 or SIM105."""
         if dt >= (1 - STEP_TOLERANCE) * self.step_length:
             return self.steps(state, t, dt, 1)
@@ -123,7 +123,7 @@ class SpringSimulation(MotionCounts):
         t: float,
         dt: float,  # noqa: ARG002
         count: int,
-    ) -> Stepped[SpringState]:
+    ) -> SteppedState[SpringState]:
         """Return the state after ``count`` cells, and impulses on other bodies."""
         self.grid = self._grid_at(state, t)
         target = self.grid.index + count
@@ -134,7 +134,7 @@ class SpringSimulation(MotionCounts):
         if self.releases_states:
             for sheet in self.system.colliders.sheets:
                 sheet.motion.forget(self.grid.time - max(LOOKBACK_TIME, self.grid.cell))
-        return Stepped(self.grid.state, self.wrenches)
+        return SteppedState(self.grid.state, self.wrenches)
 
     def pulls(self, state: SpringState, t: float) -> Sequence[Wrenches]:
         """Return the impulses on bodies of other systems in the next cell."""
@@ -188,7 +188,7 @@ class SpringSimulation(MotionCounts):
             t, state = self.grid.time, self.grid.state
             self.max_substeps = max(self.max_substeps, state.substeps)
             self._exclude_torn()
-            reason = self._energy_watch.divergence(t, state.motion)
+            reason = self._energy_watch.divergence_reason(t, state.motion)
             if start_grid.solver is Solver.XPBD:
                 length_ratio = self.intact_system.stretch(t, state.motion)
                 self.longest = max(self.longest, length_ratio or 0.0)

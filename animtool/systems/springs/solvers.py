@@ -73,16 +73,16 @@ def cell_colliders(
         return None
     steps = grid.index + np.arange(count + 1)
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
-    poses = np.zeros((count, len(colliders.rigid), 2, 7))
+    poses = np.zeros((count, len(colliders.rigid_colliders), 2, 7))
     world_count = len(colliders)
     if posed_colliders is not None:
         world_count -= len(posed_colliders.sizes)
     for i in range(world_count):
         poses[:, i] = _poses_at_ends(colliders[i], edges)
     for cell, (begin, end) in enumerate(pairwise(edges.tolist())):
-        poses[cell, len(colliders) :] = colliders.body_ends(begin, end)
+        poses[cell, len(colliders) :] = colliders.body_end_poses(begin, end)
     start = float(edges[0])
-    arrays = colliders.arrays(start, start)
+    arrays = colliders.kernel_arrays(start, start)
     surfaces = colliders.surfaces.kernel_arrays(
         grid.origin, grid.cell, grid.index, count
     )
@@ -93,7 +93,9 @@ def cell_colliders(
     sizes[world_count : len(colliders)] = posed_colliders.sizes
     poses[:, world_count : len(colliders)] = posed_colliders.poses
     arrays, surfaces = (kinds, sizes, *materials), [*posed_colliders.skins, *surfaces]
-    missing_rows = len(colliders.rigid) + len(surfaces) - len(posed_colliders.depths)
+    missing_rows = (
+        len(colliders.rigid_colliders) + len(surfaces) - len(posed_colliders.depths)
+    )
     depths = np.pad(posed_colliders.depths, ((0, missing_rows), (0, 0)))
     return arrays, poses, radius, depths, UNRESOLVED_DEPTH, surfaces
 

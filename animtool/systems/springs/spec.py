@@ -232,7 +232,7 @@ class SpringsModel(SolvedModel):
     """Keys shared by ropes, strands, cloth and volumes."""
 
     method_key: ClassVar[str] = "solver"
-    tried: ClassVar[bool] = True
+    has_trial_settings: ClassVar[bool] = True
 
     mass: Real = key("Total mass [kg].", 0.5)
     pins: list[PinModel] = key(

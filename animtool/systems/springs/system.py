@@ -21,7 +21,7 @@ from animtool.core.array_types import (
 from animtool.core.errors import Fault, refuse
 from animtool.sim.colliders import Collider, Colliders, Contacts, collide
 from animtool.sim.contact import SPEED_LIMIT
-from animtool.sim.system import Energy, Matrix, Native, SecondOrder
+from animtool.sim.system import Energy, Matrix, NativeAdvance, SecondOrder
 from animtool.systems.springs.body import (
     Body,
     PrescribedMotion,
@@ -433,7 +433,7 @@ class SpringSystem(SecondOrder):
             gaps = x[springs.particles] - position_at(stage.targets, t)
             potential += 0.5 * float(springs.stiffness @ (gaps * gaps).sum(axis=1))
         mass, square_speed, speed = self._supply
-        supply = mass * (square_speed + max(speed, self.colliders.fastest) ** 2)
+        supply = mass * (square_speed + max(speed, self.colliders.max_speed) ** 2)
         return Energy(kinetic, potential, supply)
 
     @cached_property
@@ -495,7 +495,7 @@ class SpringSystem(SecondOrder):
         result[1, self.pinned] = (result[0, self.pinned] - previous) / h
         return result
 
-    def native(self, method: str) -> Native | None:
+    def native(self, method: str) -> NativeAdvance | None:
         """Return a compiled loop of symplectic_euler, or None if it does not apply."""
         if method != "symplectic_euler" or self._has_contacts or len(self.teleports):
             return None
@@ -518,7 +518,7 @@ class SpringSystem(SecondOrder):
             notices += tangle_notices(self.body.positions, self.body.triangles)
         return notices + self.teleports.notices()
 
-    def suspect(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
+    def suspected_cause(self, t: float, state: FloatArray) -> str:  # noqa: ARG002
         """Return which spring has the largest extension, as text."""
         springs = self.body.springs
         if not len(springs.rest):

@@ -164,7 +164,9 @@ class SpringView:
     _self_crossings: SelfCrossings | None = None
     # Measured sides and peaks of a surface in contact.
     _measured_surface: MeasuredSurface | None = None
-    _meter: ContactMeter = field(default_factory=lambda: ContactMeter(seconds=True))
+    _meter: ContactMeter = field(
+        default_factory=lambda: ContactMeter(uses_seconds=True)
+    )
 
     def __post_init__(self) -> None:
         """Count self-intersections of a surface without self-contact."""

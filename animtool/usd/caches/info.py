@@ -153,7 +153,7 @@ def _summarize_prim(prim: Any) -> PointPrimSummary:
     times, codes = reader.times, reader.codes
     has_values, is_instancer = reader.has_value, reader.is_instancer
     sample_codes = time_codes_of(times)
-    point_counts = array_lengths(reader.attr, sample_codes)
+    point_counts = array_lengths(reader.points_attr, sample_codes)
     type_name = str(prim.GetTypeName())
     element_noun, name = (
         ("meshes", "") if is_instancer else _ELEMENT_COUNTS.get(type_name, ("", ""))
@@ -221,13 +221,13 @@ def _extent_union(
     return lowest.astype(float).tolist(), highest.astype(float).tolist()
 
 
-def _missing_chunks(chunks: Sequence[ChunkSet], where: str) -> list[Fault]:
+def _missing_chunks(chunks: Sequence[ChunkSet], file_path: str) -> list[Fault]:
     """Report the files of value clips that do not exist."""
     return [
         Fault(
             "USD276",
             f"chunks of {chunk.path} are missing: {listed(chunk.missing)}",
-            where,
+            file_path,
             hint="points are static between them",
             severity=Severity.WARNING,
         )

@@ -20,8 +20,8 @@ from animtool.core.units import UpAxis
 from animtool.rig.surfaces import Strands, Surface
 from animtool.skin.deform import DeformedFrames, unit_normals
 from animtool.usd.caches.writer import (
-    Block,
     CachedMesh,
+    FrameBlock,
     PointSpace,
     PointWriter,
     empty_attribute,
@@ -81,21 +81,21 @@ def mesh_paths(
 def round_points(
     mesh: int,
     codes: FloatArray,
-    deformed: DeformedFrames,
+    deformed_frames: DeformedFrames,
     meters_per_unit: float,
     space: PointSpace,
-) -> Block:
+) -> FrameBlock:
     """Return frames of a mesh rounded to float32, and the rounding error.
 
     Args:
         mesh: Index of the mesh.
         codes: Time codes ``(F,)``.
-        deformed: Frames of the mesh [m].
+        deformed_frames: Frames of the mesh [m].
         meters_per_unit: Unit of the layer [m].
         space: Space of the written points.
     """
-    points, extents = deformed.points, deformed.extents
-    velocities, normals = deformed.velocities, deformed.normals
+    points, extents = deformed_frames.points, deformed_frames.extents
+    velocities, normals = deformed_frames.velocities, deformed_frames.normals
     placement = space.placement
     if placement is not None:
         linear, translation = placement[:3, :3], placement[:3, 3] * meters_per_unit
@@ -121,11 +121,11 @@ def round_points(
     if velocities is not None:
         values["velocities"] = to_float32("velocities", velocities, meters_per_unit)
     code = float(codes[frame])
-    return Block(mesh, codes, values, points.shape[1], error, code, vertex)
+    return FrameBlock(mesh, codes, values, points.shape[1], error, code, vertex)
 
 
 def author_cache(
-    job: CacheJob, blocks: Iterator[Block]
+    job: CacheJob, blocks: Iterator[FrameBlock]
 ) -> tuple[Any, list[CachedMesh]]:
     """Author the cache layer in memory; nothing is saved yet.
 
@@ -188,7 +188,7 @@ class ChunkedCache:
 
 
 def write_chunks(
-    job: CacheJob, blocks: Iterator[Block], chunk_bytes: int
+    job: CacheJob, blocks: Iterator[FrameBlock], chunk_bytes: int
 ) -> ChunkedCache:
     """Write the points of a cache in chunk files.
 
@@ -200,13 +200,13 @@ def write_chunks(
     chunked_meshes = [_ChunkedMesh(path) for path in job.meshes]
     reports = [mesh.report for mesh in chunked_meshes]
 
-    def chunk(path: Path, index: int) -> AbstractContextManager[list[PointWriter]]:
+    def open_chunk(path: Path, index: int) -> AbstractContextManager[list[PointWriter]]:
         return _chunk_writers(
             job, path, reports, with_defaults=index == 0 and job.target is None
         )
 
     files = point_clip_files(job.output)
-    with ChunkedWriter(files, chunk_bytes, len(chunked_meshes), chunk) as chunks:
+    with ChunkedWriter(files, chunk_bytes, len(chunked_meshes), open_chunk) as chunks:
         write_frames(blocks, chunks, chunked_meshes)
     metadata = cache_metadata(job, chunks.chunk_starts[0], chunks.last)
     with Sdf.ChangeBlock():
@@ -216,15 +216,17 @@ def write_chunks(
             )
         author_metadata(layer, metadata)
 
-    def declare(manifest: Any) -> None:
+    def declare_attributes(manifest: Any) -> None:
         for report in reports:
-            spec = prim_spec(manifest, report.path, over=True)
+            spec = prim_spec(manifest, report.path, is_over=True)
             for name in report.sampled:
                 empty_attribute(spec, name)
 
     is_animated = any(report.samples for report in reports)
     use_defaults = job.target is None and is_animated
-    chunks.join(layer, job.paths.root, metadata, declare, use_defaults=use_defaults)
+    chunks.author_value_clips(
+        layer, job.paths.root, metadata, declare_attributes, use_defaults=use_defaults
+    )
     if job.target is not None:
         job.target.check(layer, has_points=False)
     return ChunkedCache(layer, reports, chunks)
@@ -237,7 +239,7 @@ def _chunk_writers(
     """Yield one point writer per mesh for a chunk file, which is saved on exit."""
     layer = new_layer(path)
     for mesh in job.meshes:
-        prim_spec(layer, mesh, over=True)
+        prim_spec(layer, mesh, is_over=True)
     writers = [PointWriter(layer, report) for report in reports]
     yield writers
     with Sdf.ChangeBlock():
@@ -256,12 +258,12 @@ class _ChunkedMesh:
         # Values of the first frame, as long as points equal them.
         self._first_values: dict[str, Float32Array] | None = None
 
-    def count(self, block: Block) -> None:
+    def add_block(self, block: FrameBlock) -> None:
         """Count a block; record its attributes and whether points change."""
         values = block.values
         if not self.report.sampled:
             self._first_values = {name: rows[0].copy() for name, rows in values.items()}
-        self.report.count(block)
+        self.report.add_block(block)
         self.report.sampled = list(values)
         first_values = self._first_values
         if (

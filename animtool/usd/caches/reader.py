@@ -22,7 +22,7 @@ from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.prims import (
-    array_of,
+    array_or_empty,
     array_value,
     decompose,
     find_prim,
@@ -45,12 +45,14 @@ class PointReader:
     def __init__(self, prim: Any) -> None:
         self.prim = prim
         self.is_instancer = bool(prim.IsA(UsdGeom.PointInstancer))
-        self.attr = prim.GetAttribute("positions" if self.is_instancer else "points")
+        self.points_attr = prim.GetAttribute(
+            "positions" if self.is_instancer else "points"
+        )
 
     @property
     def times(self) -> list[float]:
         """Time codes of the samples; empty if the points are static."""
-        return list(self.attr.GetTimeSamples())
+        return list(self.points_attr.GetTimeSamples())
 
     @property
     def codes(self) -> list[float]:
@@ -64,11 +66,11 @@ class PointReader:
 
     def points_at(self, time: Any) -> FloatArray:
         """Return the points at a time ``(N, 3)``, in local space and stage units."""
-        return number_rows(self.attr, 3, time)
+        return number_rows(self.points_attr, 3, time)
 
     def point_count(self) -> int:
         """Return the number of points at the earliest time."""
-        return len(self.attr.Get(Usd.TimeCode.EarliestTime()) or ())
+        return len(self.points_attr.Get(Usd.TimeCode.EarliestTime()) or ())
 
     def world_from_prim(self, time: Any) -> FloatArray:
         """Return the prim's transform at a time, for row vectors ``(4, 4)``."""
@@ -100,7 +102,7 @@ def time_codes_of(times: Sequence[float]) -> list[Any]:
 def array_lengths(attribute: Any, codes: Sequence[Any]) -> list[int | None]:
     """Return the length of an array attribute at each time; None if it has no value."""
     values = (attribute.Get(code) for code in codes)
-    return [None if value is None else len(array_of(value)) for value in values]
+    return [None if value is None else len(array_or_empty(value)) for value in values]
 
 
 def all_prims(stage: Any) -> Iterator[Any]:
@@ -180,7 +182,7 @@ class PointSource:
         """Paths of the prims, below the default prim."""
         return list(self._readers)
 
-    def type(self, name: str) -> str:
+    def prim_type(self, name: str) -> str:
         """Return the type of a prim."""
         return str(self._readers[name].prim.GetTypeName())
 

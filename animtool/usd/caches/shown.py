@@ -32,7 +32,7 @@ from animtool.usd.caches.reader import (
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_meshes
-from animtool.usd.rigs.meshes import COLORS
+from animtool.usd.rigs.meshes import MESH_COLORS
 from animtool.usd.rigs.prims import (
     find_skeletons,
     number_rows,
@@ -54,7 +54,7 @@ _IMPLICIT_SHAPES = (
 
 
 @dataclass(frozen=True, slots=True)
-class ShownMesh:
+class VisibleMesh:
     """A mesh in local space [m], with the stage's axes."""
 
     points: FloatArray  # ``(N, 3)``
@@ -65,7 +65,7 @@ class ShownMesh:
     colors: FloatArray | None = None
 
 
-class ShownPrim:
+class VisiblePrim:
     """A visible prim with points, or an implicit shape, over time.
 
     Attributes:
@@ -80,7 +80,7 @@ class ShownPrim:
     @cached_property
     def is_deforming(self) -> bool:
         """Whether the prim's points in local space may change over time."""
-        attr = self._reader.attr
+        attr = self._reader.points_attr
         return bool(attr and attr.ValueMightBeTimeVarying())
 
     @cached_property
@@ -114,7 +114,7 @@ class ShownPrim:
         )
         return self._stage.to_y_up(world_points * self._stage.meters_per_unit)
 
-    def local_mesh(self) -> ShownMesh | None:
+    def local_mesh(self) -> VisibleMesh | None:
         """Return the mesh in local space at the earliest time; None if invalid."""
         time = Usd.TimeCode.EarliestTime()
         if self.prim.IsA(UsdGeom.Mesh):
@@ -127,7 +127,7 @@ class ShownPrim:
         colors = self.colors(self._stage.stage.GetStartTimeCode())
         vertex_colors = colors if len(colors) == len(points) > 1 else None
         metric_points = points * self._stage.meters_per_unit
-        return ShownMesh(metric_points, counts, indices, self.color, vertex_colors)
+        return VisibleMesh(metric_points, counts, indices, self.color, vertex_colors)
 
     def curve_counts(self) -> IntArray:
         """Return the number of points of each curve ``(C,)``."""
@@ -172,7 +172,7 @@ class ShownPrim:
         points = self._stage.to_y_up(sample.points)
         return replace(sample, points=points, orientations=rotations)
 
-    def prototypes(self) -> list[list[tuple[ShownMesh, FloatArray]]]:
+    def prototypes(self) -> list[list[tuple[VisibleMesh, FloatArray]]]:
         """Return the meshes of each prototype, with their transforms ``(4, 4)`` [m]."""
         stage = self._stage.stage
         prototypes = []
@@ -183,7 +183,7 @@ class ShownPrim:
                 kind = _prim_kind(prim)
                 if kind != "mesh" or is_bone_mesh(prim):
                     continue
-                mesh = ShownPrim(self._stage, prim, "", kind).local_mesh()
+                mesh = VisiblePrim(self._stage, prim, "", kind).local_mesh()
                 if mesh is not None:
                     unit = self._stage.meters_per_unit
                     meshes.append((mesh, _relative_transform(prim, root, unit)))
@@ -248,7 +248,7 @@ class StageContents:
         return matrix
 
     @cached_property
-    def prims(self) -> list[ShownPrim]:
+    def prims(self) -> list[VisiblePrim]:
         """Visible prims that no skeleton deforms."""
         skinned_paths = {
             query.GetPrim().GetPath()
@@ -262,7 +262,7 @@ class StageContents:
             for path in prototype_paths(prim)
         }
         root = self.stage.GetDefaultPrim()
-        shown_prims = []
+        visible_prims = []
         for prim in self._visible_prims():
             kind, path = _prim_kind(prim), prim.GetPath()
             if not kind or path in skinned_paths or is_bone_mesh(prim):
@@ -271,8 +271,8 @@ class StageContents:
                 continue
             default_path = root.GetPath() if root else path.absoluteRootPath
             name = str(path.MakeRelativePath(default_path))
-            shown_prims.append(ShownPrim(self, prim, name, kind))
-        return shown_prims
+            visible_prims.append(VisiblePrim(self, prim, name, kind))
+        return visible_prims
 
     def _visible_prims(self) -> Iterator[Any]:
         root_prim = self.stage.GetPrimAtPath(self._root_path)
@@ -338,9 +338,9 @@ class StageContents:
         code = self.stage.GetStartTimeCode()
         for name, query in bound_meshes(UsdSkel.Skeleton(prim)):
             colors = _display_colors(query.GetPrim(), code)
-            is_default = len(colors) == 1 and np.isclose(colors, COLORS, atol=1e-6).all(
-                1
-            )
+            is_default = len(colors) == 1 and np.isclose(
+                colors, MESH_COLORS, atol=1e-6
+            ).all(1)
             if len(colors) and not np.any(is_default):
                 colors_by_name[name] = colors
         return colors_by_name

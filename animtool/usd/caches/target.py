@@ -65,11 +65,11 @@ class CacheTarget:
     def author(self, layer: Any, *, with_normals: bool) -> None:
         """Write overs on the SkelRoot, the meshes and the strands."""
         # As in UsdSkel.BakeSkinning: prims outside a SkelRoot are not skinned.
-        root = prim_spec(layer, self.rig.paths.root, "Xform", over=True)
+        root = prim_spec(layer, self.rig.paths.root, "Xform", is_over=True)
         if self.rig.has_root_motion:
             author_xform_order(root, *self.rig.placing_ops)
         for mesh in self.prims:
-            spec = prim_spec(layer, mesh.path, over=True)
+            spec = prim_spec(layer, mesh.path, is_over=True)
             blocked_names = mesh.blocked_attributes
             if mesh.has_normals and not with_normals:
                 blocked_names += ("normals",)
@@ -103,8 +103,8 @@ class CacheTarget:
             message = "the rig's own opinions are stronger than the cache at "
             message += listed(overridden_paths)
             hint = "a layer cannot reach into instances"
-            where = str(self.rig.path)
-            raise OutputError(Fault("USD042", message, where, (), hint))
+            location = str(self.rig.path)
+            raise OutputError(Fault("USD042", message, location, (), hint))
 
 
 def open_cache_target(

@@ -44,12 +44,12 @@ class AttributeKind:
     type_name: Any
     convert: Callable[[Any], Any]
     interpolation: str = ""
-    uniform: bool = False
+    is_uniform: bool = False
 
 
 _INTEGER_ATTRIBUTE = AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy)
-_TOKEN_ATTRIBUTE = AttributeKind(_TYPES.Token, str, uniform=True)
-ATTRIBUTES = {
+_TOKEN_ATTRIBUTE = AttributeKind(_TYPES.Token, str, is_uniform=True)
+ATTRIBUTE_KINDS = {
     "points": AttributeKind(_TYPES.Point3fArray, Vt.Vec3fArray.FromNumpy),
     "velocities": AttributeKind(_TYPES.Vector3fArray, Vt.Vec3fArray.FromNumpy),
     "extent": AttributeKind(_TYPES.Float3Array, Vt.Vec3fArray.FromNumpy),
@@ -65,7 +65,7 @@ ATTRIBUTES = {
     "faceVertexCounts": _INTEGER_ATTRIBUTE,
     "faceVertexIndices": _INTEGER_ATTRIBUTE,
     "subdivisionScheme": _TOKEN_ATTRIBUTE,
-    "doubleSided": AttributeKind(_TYPES.Bool, bool, uniform=True),
+    "doubleSided": AttributeKind(_TYPES.Bool, bool, is_uniform=True),
     "purpose": _TOKEN_ATTRIBUTE,
     "type": _TOKEN_ATTRIBUTE,
     "wrap": _TOKEN_ATTRIBUTE,
@@ -80,7 +80,7 @@ def attribute_kind(name: str, values: npt.NDArray[Any]) -> AttributeKind:
     ``name`` is one that `split_attribute` parses.
     """
     if not name.startswith("primvars:"):
-        return ATTRIBUTES[name.rpartition(".")[2]]
+        return ATTRIBUTE_KINDS[name.rpartition(".")[2]]
     if np.issubdtype(values.dtype, np.integer):
         return AttributeKind(_TYPES.IntArray, Vt.IntArray.FromNumpy, "vertex")
     if values.ndim == 1:
@@ -91,21 +91,21 @@ def attribute_kind(name: str, values: npt.NDArray[Any]) -> AttributeKind:
 
 
 def author_values(spec: Any, values: Mapping[str, Any]) -> None:
-    """Author constant values of `ATTRIBUTES`, in order."""
+    """Author constant values of `ATTRIBUTE_KINDS`, in order."""
     for name, value in values.items():
-        kind = ATTRIBUTES[name]
+        kind = ATTRIBUTE_KINDS[name]
         attribute_spec(
             spec,
             name,
             kind.type_name,
             kind.convert(value),
-            uniform=kind.uniform,
+            is_uniform=kind.is_uniform,
             interpolation=kind.interpolation,
         )
 
 
 # Curves are polylines with two ends.
-POLYLINE = {"type": "linear", "wrap": "nonperiodic"}
+POLYLINE_TOKENS = {"type": "linear", "wrap": "nonperiodic"}
 
 
 def author_width(spec: Any, width: float) -> None:
@@ -137,14 +137,14 @@ class CharactersReport:
 
 
 @dataclass(frozen=True, slots=True)
-class Block:
+class FrameBlock:
     """Frames of one prim as written, in stage units."""
 
     prim: int  # index of the written prim
     codes: FloatArray  # time codes (F,)
     # Values ``(F, …)`` by attribute, in order; see `split_attribute`.
     values: Mapping[str, npt.NDArray[Any]]
-    vertices: int  # most points of any frame
+    vertex_count: int  # most points of any frame
     error: float = 0.0  # largest distance that rounding moved a point [m]
     error_code: float = 0.0  # time code of the largest error
     error_vertex: int = 0  # point of the largest error
@@ -154,7 +154,7 @@ class Block:
         """Size of the values in memory."""
         return sum(rows.nbytes for rows in self.values.values())
 
-    def select_frames(self, frames: slice) -> Block:
+    def select_frames(self, frames: slice) -> FrameBlock:
         """Return a block of a subset of the frames, with the error of all frames."""
         values = {name: rows[frames] for name, rows in self.values.items()}
         return replace(self, codes=self.codes[frames], values=values)
@@ -185,9 +185,9 @@ class CachedMesh:
     notices: list[Fault] = field(default_factory=list)
     characters: CharactersReport | None = None  # counts of crowd characters, if any
 
-    def count(self, block: Block) -> None:
+    def add_block(self, block: FrameBlock) -> None:
         """Add the counts of a block of frames, and update the largest error."""
-        self.vertices = max(self.vertices, block.vertices)
+        self.vertices = max(self.vertices, block.vertex_count)
         self.samples += len(block.codes)
         self.bytes += block.bytes
         if block.error > self.error:
@@ -216,17 +216,17 @@ class PointWriter:
         layer: Any,
         report: CachedMesh,  # report with the path of the prim
         *,
-        every_frame: bool = False,
+        writes_every_frame: bool = False,
         with_default: bool = True,
         on_added: Callable[[int], object] | None = None,  # called with block sizes
     ) -> None:
         self._layer, self._report = layer, report
-        self._every_frame = every_frame
+        self._every_frame = writes_every_frame
         self._with_default = with_default
         self._on_added = on_added
         self._sample_writers: dict[str, SampleWriter] = {}
 
-    def add(self, block: Block) -> None:
+    def add(self, block: FrameBlock) -> None:
         """Write a block of frames of the prim."""
         with Sdf.ChangeBlock():
             for name, rows in block.values.items():
@@ -245,7 +245,7 @@ class PointWriter:
         return SampleWriter(
             attr,
             convert,
-            every_frame=True,
+            writes_every_frame=True,
             with_default=self._with_default,
             noun=labels.noun,
             names=labels.names,
@@ -298,7 +298,7 @@ class PointWriter:
 def empty_attribute(spec: Any, name: str) -> SampleWriter:
     """Replace a rest mesh's attribute by an empty one; return its sample writer."""
     remove_attribute(spec, name)
-    kind = ATTRIBUTES[name]
+    kind = ATTRIBUTE_KINDS[name]
     attr = attribute_spec(spec, name, kind.type_name, interpolation=kind.interpolation)
     return SampleWriter(attr, kind.convert)
 
@@ -309,8 +309,8 @@ def remove_attribute(spec: Any, name: str) -> None:
         spec.RemoveProperty(spec.attributes[name])
 
 
-class FramePrim(Protocol):
-    """Interface of a prim writer that a `FrameForm` fills."""
+class FramePrimWriter(Protocol):
+    """Interface of a prim writer that a `FrameEncoder` fills."""
 
     unit: float  # unit of the layer [m]
     rotation: FloatArray  # orientation of the prim in the layer (4,)
@@ -335,11 +335,11 @@ class FramePrim(Protocol):
 FrameT = TypeVar("FrameT", "CurvesFrame", "MeshFrame", "PointsFrame", "TransformsFrame")
 
 
-class FrameForm(Generic[FrameT]):
+class FrameEncoder(Generic[FrameT]):
     """Maps one frame type to a prim type, its attributes and their values."""
 
     type_name: ClassVar[str]
-    sampled: ClassVar[tuple[str, ...]]  # attributes of every frame, in order
+    sampled_names: ClassVar[tuple[str, ...]]  # attributes of every frame, in order
     points: ClassVar[str] = "points"  # attribute name of the points
 
     def topology(self, frame: FrameT) -> Mapping[str, IntArray]:  # noqa: ARG002
@@ -353,20 +353,22 @@ class FrameForm(Generic[FrameT]):
     def attribute_kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
         """Return the sampled attributes, in order, by name; see `split_attribute`."""
         arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
-        attribute_kinds = {name: ATTRIBUTES[name] for name in self.sampled}
+        attribute_kinds = {name: ATTRIBUTE_KINDS[name] for name in self.sampled_names}
         attribute_kinds |= {
             name: attribute_kind(name, rows) for name, rows in arrays.items()
         }
-        return {**attribute_kinds, "extent": ATTRIBUTES["extent"]}
+        return {**attribute_kinds, "extent": ATTRIBUTE_KINDS["extent"]}
 
     def author_children(self, spec: Any, frame: FrameT) -> None:
         """Create the child prims that have samples."""
 
-    def author_constants(self, writer: FramePrim, spec: Any, frame: FrameT) -> None:
+    def author_constants(
+        self, writer: FramePrimWriter, spec: Any, frame: FrameT
+    ) -> None:
         """Author the constant attributes of the prim."""
 
     def values(
-        self, writer: FramePrim, frame: FrameT, points: Float32Array, code: float
+        self, writer: FramePrimWriter, frame: FrameT, points: Float32Array, code: float
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return the values of a frame, except points ``(N, 3)`` and velocities."""
         raise NotImplementedError

@@ -67,8 +67,8 @@ def _check_target(
         message = f"{target} does not exist"
         yield finding("USD208", relationship.GetPath(), message)
     elif not prim.IsA(schema):
-        kind = prim.GetTypeName() or "prim without a type"
-        message = f"{target} is a {kind}, not a {schema_name}"
+        type_name = prim.GetTypeName() or "prim without a type"
+        message = f"{target} is a {type_name}, not a {schema_name}"
         yield finding("USD208", relationship.GetPath(), message)
 
 
@@ -78,7 +78,7 @@ MIN_SAME_COSINE = 0.7
 
 def check_animations(subject: StageSubject) -> Iterator[Fault]:
     """Check array lengths, values and rotations of every SkelAnimation sample."""
-    for animation in subject.of_type(UsdSkel.Animation):
+    for animation in subject.prims_of_type(UsdSkel.Animation):
         joints = token_array(animation.GetJointsAttr())
         yield from duplicate_name_faults(animation.GetJointsAttr())
         if joints:
@@ -112,15 +112,14 @@ def _check_transforms(
 
 
 def _check_counts(
-    code: str, attr: Any, array: SampledArray, expected: int, noun: str
+    code: str, attr: Any, array: SampledArray, expected_count: int, noun: str
 ) -> Iterator[Fault]:
-    is_wrong_count = array.counts != expected
+    is_wrong_count = array.counts != expected_count
     if is_wrong_count.any():
         count = array.counts[np.flatnonzero(is_wrong_count)[0]]
         count_text = "no value" if count < 0 else counted(count, "value")
-        message = (
-            f"{count_text} for {expected} {noun} {samples_text(array, is_wrong_count)}"
-        )
+        samples = samples_text(array, is_wrong_count)
+        message = f"{count_text} for {expected_count} {noun} {samples}"
         yield finding(code, attr.GetPath(), message)
 
 
@@ -131,9 +130,11 @@ def _non_finite_fault(
     is_non_finite: BoolArray,
     names: list[str],
 ) -> Fault:
-    rows = is_non_finite.any(axis=1)
-    first_element = int(np.flatnonzero(is_non_finite[np.flatnonzero(rows)[0]])[0])
-    samples = samples_text(array, sample_indices[rows])
+    is_bad_sample = is_non_finite.any(axis=1)
+    first_element = int(
+        np.flatnonzero(is_non_finite[np.flatnonzero(is_bad_sample)[0]])[0]
+    )
+    samples = samples_text(array, sample_indices[is_bad_sample])
     message = f"{excerpt(names[first_element])} is not finite {samples}"
     return finding("USD202", attr.GetPath(), message)
 
@@ -144,9 +145,9 @@ def _check_weights(
     array = subject.sampled_array(attr)
     yield from _check_counts("USD206", attr, array, len(shapes), "blendShapes")
     sample_indices, values = array.rows(len(shapes), 1)
-    not_finite = ~np.isfinite(values[..., 0])
-    if not_finite.any():
-        yield _non_finite_fault(attr, array, sample_indices, not_finite, shapes)
+    is_not_finite = ~np.isfinite(values[..., 0])
+    if is_not_finite.any():
+        yield _non_finite_fault(attr, array, sample_indices, is_not_finite, shapes)
 
 
 def _check_rotations(
@@ -170,8 +171,10 @@ def _check_rotations(
     is_flipped = cosines < -MIN_SAME_COSINE
     if is_flipped.any():
         names = [joints[j] for j in np.flatnonzero(is_flipped.any(axis=0))]
-        frames = sample_indices[1:][is_flipped.any(axis=1)]
-        message = f"signs of {listed(names)} change {samples_text(array, frames)}"
+        flipped_samples = sample_indices[1:][is_flipped.any(axis=1)]
+        message = (
+            f"signs of {listed(names)} change {samples_text(array, flipped_samples)}"
+        )
         yield finding("USD204", attr.GetPath(), message)
 
 
@@ -204,11 +207,13 @@ def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
             yield from unknown_joint_faults(attr, joints, prim.GetPath())
     for path, source in bindings.items():
         attr = UsdSkel.Animation(source).GetBlendShapesAttr()
-        unknown = [name for name in token_array(attr) if name not in shapes[path]]
+        unknown_shapes = [
+            name for name in token_array(attr) if name not in shapes[path]
+        ]
         if (
-            unknown
+            unknown_shapes
             and not subject.has_only_overs
             and any(map(is_rig_mesh, subject.prims))
         ):
-            message = f"{len(unknown)} shapes that no mesh has: {listed(unknown)}"
-            yield finding("USD210", attr.GetPath(), message)
+            message = f"{len(unknown_shapes)} shapes that no mesh has: "
+            yield finding("USD210", attr.GetPath(), message + listed(unknown_shapes))

@@ -111,7 +111,7 @@ def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
             for attr in transform_attributes(descendant).values()
         ]
     if prim.IsA(UsdGeom.PointBased):
-        attr = PointReader(prim).attr
+        attr = PointReader(prim).points_attr
         # Extents of meshes with animated points are checked together with the points.
         has_sampled_points = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
         return [attr] if attr.HasAuthoredValue() and not has_sampled_points else None
@@ -169,16 +169,19 @@ def _compare_extents(
         times = np.array(animated_times or [np.nan])
     bounds_from_joints = _joint_bounds(subject, boundable, sources, times)
     is_exact = sampled_extents is not None or not animated_times
-    candidates, outliers = spaced_indices(len(times), MAX_COMPUTED_SAMPLES), None
+    candidate_indices, outlier_indices = (
+        spaced_indices(len(times), MAX_COMPUTED_SAMPLES),
+        None,
+    )
     if bounds_from_joints is not None:
         excess, _ = bounds_difference(extents, bounds_from_joints, must_equal=is_exact)
-        outliers = np.flatnonzero(~(excess <= 0))
-        candidates = np.sort(
-            outliers[np.argsort(-excess[outliers])[:MAX_COMPUTED_SAMPLES]]
+        outlier_indices = np.flatnonzero(~(excess <= 0))
+        candidate_indices = np.sort(
+            outlier_indices[np.argsort(-excess[outlier_indices])[:MAX_COMPUTED_SAMPLES]]
         )
     skinned_root = _SkinnedRoot(boundable)
     faulty_samples = []
-    for i in candidates.tolist():
+    for i in candidate_indices.tolist():
         code = time_code_of(times[i])
         usd_extent = computed_extent(boundable, code)
         if usd_extent is None:
@@ -195,16 +198,22 @@ def _compare_extents(
             faulty_samples.append((i, distance[0]))
     if not faulty_samples:
         return
-    frames = np.array([i for i, _ in faulty_samples])
-    if outliers is not None and len(faulty_samples) == len(candidates):
+    faulty_indices = np.array([i for i, _ in faulty_samples])
+    if outlier_indices is not None and len(faulty_samples) == len(candidate_indices):
         # The samples that USD computed have the largest deviations.
-        frames = outliers
+        faulty_indices = outlier_indices
     largest, negative_index = max((gap, -i) for i, gap in faulty_samples)
     sample_times = SampledArray(times, [], np.zeros(len(times), np.int64))
-    or_more = " or more" if outliers is None and len(candidates) < len(times) else ""
+    or_more = (
+        " or more"
+        if outlier_indices is None and len(candidate_indices) < len(times)
+        else ""
+    )
     prefix = "off by" if is_exact else "what moves exceeds it by"
-    message = f"{prefix} {largest:.3g}{or_more} {samples_text(sample_times, frames)}"
-    if len(frames) > 1:
+    message = (
+        f"{prefix} {largest:.3g}{or_more} {samples_text(sample_times, faulty_indices)}"
+    )
+    if len(faulty_indices) > 1:
         message += f", most at {frame_label(times[-negative_index])}"
     if skinned_root.bounds is not None:
         message += _overhang_text(boundable.GetPrim(), extents, times)
@@ -229,17 +238,22 @@ class _SkinnedRoot:
         point_bounds = None if self.bounds is None else self.bounds.at_time(code)
         if point_bounds is None:
             return False
-        expected = joined_bounds(usd_extent[0], point_bounds)[None]
-        return bool(bounds_difference(extent, expected, must_equal=True)[0][0] <= 0)
+        expected_bounds = joined_bounds(usd_extent[0], point_bounds)[None]
+        return bool(
+            bounds_difference(extent, expected_bounds, must_equal=True)[0][0] <= 0
+        )
 
 
-def joined_bounds(first: AnyArray, second: AnyArray) -> AnyArray:
+def joined_bounds(first_bounds: AnyArray, second_bounds: AnyArray) -> AnyArray:
     """Return the union of two bounds ``(2, 3)``.
 
     >>> joined_bounds(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
     [[0.0], [3.0]]
     """
-    lowest, highest = np.minimum(first[0], second[0]), np.maximum(first[1], second[1])
+    lowest, highest = (
+        np.minimum(first_bounds[0], second_bounds[0]),
+        np.maximum(first_bounds[1], second_bounds[1]),
+    )
     return np.stack([lowest, highest])
 
 

@@ -20,7 +20,7 @@ from pxr import Sdf, Tf, Usd
 from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.finite import float_letter, floats_of
+from animtool.usd.layers.finite import float_array, float_letter
 
 
 def check_types(subject: StageSubject) -> Iterator[Fault]:
@@ -125,19 +125,19 @@ def check_finite(subject: StageSubject) -> Iterator[Fault]:
     layers = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
     for layer in (root, *sorted(layers, key=lambda layer: str(layer.identifier))):
         problems = _layer_problems(subject, layer, is_root=layer == root)
-        where = "" if layer == root else f" (in {layer.GetDisplayName()})"
+        prim_path = "" if layer == root else f" (in {layer.GetDisplayName()})"
         for _, group in groupby(problems, key=lambda item: item[0].GetPrimPath()):
-            yield from _first_findings(list(group), where)
+            yield from _first_findings(list(group), prim_path)
 
 
-def _first_findings(problems: list[tuple[Any, str]], where: str) -> Iterator[Fault]:
+def _first_findings(problems: list[tuple[Any, str]], prim_path: str) -> Iterator[Fault]:
     """Yield up to `MAX_FINDINGS` findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
         omitted_count = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         suffix = ""
         if omitted_count > 0:
             suffix = f"; so are {omitted_count} more values of this prim"
-        yield finding("USD171", path, f"{message}{where}{suffix}")
+        yield finding("USD171", path, f"{message}{prim_path}{suffix}")
 
 
 def _layer_problems(
@@ -183,7 +183,7 @@ def _data_problem(value: Any, name: str) -> str:
         ]
     elif isinstance(value, (str, bool, int)):
         return ""
-    numbers = floats_of(value)
+    numbers = float_array(value)
     if numbers is None or _is_finite(numbers):
         return ""
     return f"its metadata {name} is {_non_finite_number(numbers)}"
@@ -191,7 +191,7 @@ def _data_problem(value: Any, name: str) -> str:
 
 def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
     """Describe non-finite values and times of an attribute; empty if all are finite."""
-    default = floats_of(spec.default) if spec.HasDefaultValue() else None
+    default = float_array(spec.default) if spec.HasDefaultValue() else None
     problems = []
     if default is not None and not _is_allowed(subject, spec, default):
         problems.append(
@@ -203,7 +203,7 @@ def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
         problems.append("the time of a sample is not finite")
     query_sample, non_finite_count, first_problem = layer.QueryTimeSample, 0, ""
     for time in times:
-        numbers = floats_of(query_sample(path, time))
+        numbers = float_array(query_sample(path, time))
         if numbers is None or _is_allowed(subject, spec, numbers):
             continue
         non_finite_count += 1
@@ -242,7 +242,7 @@ def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> 
     if not prim:
         return False
     fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(path.name)
-    fallback_values = None if fallback is None else floats_of(fallback)
+    fallback_values = None if fallback is None else float_array(fallback)
     if fallback_values is None:
         # An attribute of a schema that the prim does not apply, as some exporters
         # write.
@@ -263,7 +263,7 @@ def _infinite_fallback_patterns() -> tuple[re.Pattern[str], ...]:
             continue
         for attribute in definition.GetPropertyNames():
             fallback = definition.GetAttributeFallbackValue(attribute)
-            numbers = None if fallback is None else floats_of(fallback)
+            numbers = None if fallback is None else float_array(fallback)
             if numbers is not None and not _is_finite(numbers):
                 names.add(re.escape(attribute).replace("__INSTANCE_NAME__", ".+"))
     return tuple(map(re.compile, sorted(names)))

@@ -22,8 +22,8 @@ from animtool.usd.checks.subject import SampledArray, StageSubject, samples_text
 
 def check_points(subject: StageSubject) -> Iterator[Fault]:
     """Check the points and velocities of every prim, in every sample."""
-    for geometry in subject.of_type(UsdGeom.PointBased):
-        attr = PointReader(geometry.GetPrim()).attr
+    for geometry in subject.prims_of_type(UsdGeom.PointBased):
+        attr = PointReader(geometry.GetPrim()).points_attr
         if not attr.HasAuthoredValue():
             continue
         points, bounds = _point_samples(subject, attr)
@@ -104,9 +104,9 @@ def _check_velocities(
         return
     velocities, bounds = _point_samples(subject, attr)
     yield from _check_finite(subject, attr, velocities, bounds)
-    index = {time: i for i, time in enumerate(points.times.tolist())}
+    index_by_time = {time: i for i, time in enumerate(points.times.tolist())}
     for i, time in enumerate(velocities.times.tolist()):
-        expected_count = points.counts[index.get(time, 0)]
+        expected_count = points.counts[index_by_time.get(time, 0)]
         if velocities.counts[i] not in {0, expected_count}:
             message = (
                 f"{velocities.counts[i]} velocities for {expected_count} points "
@@ -157,7 +157,7 @@ _INSTANCE_ARRAYS = (
 
 def check_instancers(subject: StageSubject) -> Iterator[Fault]:
     """Check every PointInstancer: prototypes, lengths, numbers, unit orientations."""
-    for instancer in subject.of_type(UsdGeom.PointInstancer):
+    for instancer in subject.prims_of_type(UsdGeom.PointInstancer):
         prim = instancer.GetPrim()
         indices = subject.sampled_array(instancer.GetProtoIndicesAttr())
         yield from _check_prototypes(subject, instancer, indices)

@@ -41,7 +41,7 @@ from animtool.usd.checks.subject import StageSubject
 from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.layers.dependencies import open_composed
-from animtool.usd.layers.sdf import find_layer, usd_errors
+from animtool.usd.layers.sdf import open_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.prims import skeleton_rig, stored_data
 
@@ -156,7 +156,7 @@ def inspect_layer(path: Path | str) -> Inspection:
     path = Path(path)
     try:
         with without_usd_warnings(), usd_errors(path):
-            subject = StageSubject(open_composed(find_layer(path), path))
+            subject = StageSubject(open_composed(open_layer(path), path))
             findings = [*_faults(subject), *_run_check(check_with_usd, subject)]
             # Without a rate, a unit or an up axis, motion has no speed or size.
             has_units = not any(
@@ -174,7 +174,7 @@ def inspect_layer(path: Path | str) -> Inspection:
 def _resized_rigs(subject: StageSubject, path: Path) -> list[Fault]:
     """Return warnings about Skeletons in another unit than they were written in."""
     notices: list[Fault] = []
-    for skeleton in subject.of_type(UsdSkel.Skeleton):
+    for skeleton in subject.prims_of_type(UsdSkel.Skeleton):
         if not stored_data(skeleton.GetPrim()).get("rig"):
             continue
         from animtool.usd.rigs.stored import merge_rig

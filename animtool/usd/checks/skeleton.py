@@ -30,7 +30,7 @@ from animtool.usd.rigs.rest_pose import (
 
 def check_physics_joints(subject: StageSubject) -> Iterator[Fault]:
     """Check bodies, frames, axes and limits of every physics joint."""
-    for joint in subject.of_type(UsdPhysics.Joint):
+    for joint in subject.prims_of_type(UsdPhysics.Joint):
         yield from _check_bodies(subject, joint)
         yield from _check_frames(joint)
         yield from _check_axis(joint.GetPrim())
@@ -83,7 +83,7 @@ def _check_limits(prim: Any) -> Iterator[Fault]:
             low_name, high_name = (
                 f"limit:{name}:physics:{end}" for end in ("low", "high")
             )
-            yield from _check_pair(prim, low_name, high_name, reversible=True)
+            yield from _check_pair(prim, low_name, high_name, is_reversible=True)
     yield from _check_pair(
         prim, "physics:minDistance", "physics:maxDistance", unlimited_value=-1.0
     )
@@ -103,7 +103,7 @@ def _check_pair(
     lower_limit_name: str,
     upper_limit_name: str,
     *,
-    reversible: bool = False,
+    is_reversible: bool = False,
     unlimited_value: float | None = None,
 ) -> Iterator[Fault]:
     yield from _check_numbers(prim, lower_limit_name)
@@ -115,7 +115,7 @@ def _check_pair(
     if (
         lower_value is None
         or upper_value is None
-        or reversible
+        or is_reversible
         or unlimited_value in {lower_value, upper_value}
     ):
         return
@@ -139,7 +139,7 @@ def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
             bound_skeletons.add(
                 inherited_skeleton.GetPrim().GetPath() if inherited_skeleton else None
             )
-    for skeleton in subject.of_type(UsdSkel.Skeleton):
+    for skeleton in subject.prims_of_type(UsdSkel.Skeleton):
         joints = token_array(skeleton.GetJointsAttr())
         if not joints:
             continue

@@ -138,13 +138,13 @@ def _check_weight_values(
     prim: Any, weights: FloatArray, influence_count: int
 ) -> Iterator[Fault]:
     path = f"{prim.GetPath()}.primvars:skel:jointWeights"
-    is_bad = ~np.isfinite(weights) | (weights < 0)
-    if is_bad.any():
-        first_bad = int(np.flatnonzero(is_bad)[0])
+    is_invalid = ~np.isfinite(weights) | (weights < 0)
+    if is_invalid.any():
+        first_invalid = int(np.flatnonzero(is_invalid)[0])
         message = (
-            f"{is_bad.sum()} of {len(weights)} weights are negative or not finite, the "
-            f"first is {weights[first_bad]:g}, that of point "
-            f"{first_bad // max(influence_count, 1)}"
+            f"{is_invalid.sum()} of {len(weights)} weights are negative or not finite, "
+            f"the first is {weights[first_invalid]:g}, that of point "
+            f"{first_invalid // max(influence_count, 1)}"
         )
         yield finding("USD233", path, message)
     elif influence_count:
@@ -201,7 +201,7 @@ def check_shapes(subject: StageSubject) -> Iterator[Fault]:
         count = point_count(prim) if targets else None
         if count:
             counts |= dict.fromkeys(targets.GetTargets(), count)
-    for shape in subject.of_type(UsdSkel.BlendShape):
+    for shape in subject.prims_of_type(UsdSkel.BlendShape):
         yield from _check_shape(shape, counts.get(shape.GetPath()))
 
 
@@ -269,11 +269,10 @@ def _check_indices(
 
 
 def _check_finite(attr: Any, rows: FloatArray) -> Iterator[Fault]:
-    bad_rows = np.flatnonzero(~np.isfinite(rows).all(axis=1))
-    if len(bad_rows):
-        message = (
-            f"{len(bad_rows)} of {len(rows)} are not finite, the first is {bad_rows[0]}"
-        )
+    bad_indices = np.flatnonzero(~np.isfinite(rows).all(axis=1))
+    if len(bad_indices):
+        message = f"{len(bad_indices)} of {len(rows)} are not finite, "
+        message += f"the first is {bad_indices[0]}"
         yield finding("USD243", attr.GetPath(), message)
 
 

@@ -49,7 +49,7 @@ class SkinnedBounds:
 
     @property
     def point_count(self) -> int:
-        """Number of points."""
+        """Number of skinned points of all prims below the SkelRoot."""
         return sum(
             len(skinned_prim.points)
             for _, prims in self._bindings
@@ -137,7 +137,7 @@ def _skinned_prims(binding: Any) -> list[_SkinnedPrim]:
         prim = query.GetPrim()
         if not prim.IsA(UsdGeom.PointBased):
             continue
-        points = PointReader(prim).attr.Get(Usd.TimeCode.EarliestTime())
+        points = PointReader(prim).points_attr.Get(Usd.TimeCode.EarliestTime())
         if not points:
             continue
         shapes = offsets = None

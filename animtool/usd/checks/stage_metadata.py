@@ -20,8 +20,8 @@ from animtool.usd.rigs.prims import stored_data
 
 def check_composition(subject: StageSubject) -> Iterator[Fault]:
     """Check that all composition arcs resolve."""
-    for where, text in unresolved_arcs(subject.stage):
-        yield finding("USD261", where, text[:300])
+    for location, text in unresolved_arcs(subject.stage):
+        yield finding("USD261", location, text[:300])
 
 
 def check_assets(subject: StageSubject) -> Iterator[Fault]:

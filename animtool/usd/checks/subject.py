@@ -94,7 +94,7 @@ class StageSubject:
         roots = self.stage.GetPseudoRoot().GetAllChildren()
         return bool(roots) and not any(root.IsDefined() for root in roots)
 
-    def of_type(self, schema: Any) -> Iterator[Any]:
+    def prims_of_type(self, schema: Any) -> Iterator[Any]:
         """Yield the prims of a schema, wrapped in that schema."""
         return (schema(prim) for prim in self.prims if prim.IsA(schema))
 

@@ -33,7 +33,7 @@ from animtool.usd.rigs.placement import (
     NO_PLACEMENT,
     SkeletonPlacement,
     animated_ancestors,
-    rest_rig,
+    rig_at_stage_placement,
     skeleton_placement,
 )
 from animtool.usd.rigs.prims import (
@@ -109,12 +109,12 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
     Animations with wrong array lengths or non-finite values are omitted, since the
     checks report them.
     """
-    skeletons = list(subject.of_type(UsdSkel.Skeleton))
+    skeletons = list(subject.prims_of_type(UsdSkel.Skeleton))
     # Other checks visit equal instances once; here all of them are searched.
     skeletons_by_animation = _bound_skeletons(find_skeletons(subject.stage))
     stage_data = _StageData.from_subject(subject)
     takes = []
-    for animation in subject.of_type(UsdSkel.Animation):
+    for animation in subject.prims_of_type(UsdSkel.Animation):
         skeleton = skeletons_by_animation.get(animation.GetPath())
         if skeleton is None:
             # A shared animation is not the motion of a single character.
@@ -189,13 +189,13 @@ def _animation_take(
     placement = NO_PLACEMENT
     if skeleton is not None:
         placement = skeleton_placement(skeleton.GetPrim(), rig_data.rig, codes.tolist())
-    if not placement.full.is_identity:
+    if not placement.full_placement.is_identity:
         roots = np.array(rig_data.rig.roots, np.int64)
-        motion_channels = transform_motion(motion_channels, roots, placement.full).map(
-            Channel.compact
-        )
+        motion_channels = transform_motion(
+            motion_channels, roots, placement.full_placement
+        ).map(Channel.compact)
     rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))
-    rig = rest_rig(rig, placement)
+    rig = rig_at_stage_placement(rig, placement)
     take = Take(rig, _build_clock(subject, codes), motion_channels)
     rate = float(stage.GetFramesPerSecond())
     return AnimationTake(
@@ -229,8 +229,8 @@ def _animation_rig(
     sample_indices, values = array.rows(len(joints), 3)
     if len(sample_indices):
         rest[:, 3, :3] = values[0]
-    where = PrimLocation.from_prim(path, animation)
-    return rig_from_tokens(joints, rest, name, where, meters, up, {})
+    location = PrimLocation.from_prim(path, animation)
+    return rig_from_tokens(joints, rest, name, location, meters, up, {})
 
 
 def _attribute_rows(

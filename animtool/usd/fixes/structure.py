@@ -25,14 +25,14 @@ from animtool.usd.rigs.prims import self_and_ancestors
 from animtool.usd.rigs.rest_pose import local_bind_transforms
 
 # Tolerance of weight sums in float32.
-ROUNDING = 1e-6
+SUM_ROUNDING = 1e-6
 
 
 def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
     """Normalize the weights of each point to a sum of one."""
     spec = target.attribute(fault)
     attr = target.stage.GetAttributeAtPath(fault.where)
-    size = int(attr.GetMetadata("elementSize") or 1)
+    element_size = int(attr.GetMetadata("elementSize") or 1)
     indices = target.stage.GetAttributeAtPath(f"{fault.where}:indices")
     if indices and indices.HasAuthoredValue():
         raise NotFixableError("the weights are indexed")
@@ -41,11 +41,11 @@ def normalize_weights(target: FixTarget, fault: Fault) -> Edit:
         changed_points = point_count = 0
         new_arrays = []
         for array in stored_arrays(spec):
-            rows = array.astype(np.float64).reshape(-1, size)
+            rows = array.astype(np.float64).reshape(-1, element_size)
             weight_sums = rows.sum(axis=1, keepdims=True)
             if not (weight_sums > 0).all() or not np.isfinite(weight_sums).all():
                 raise NotFixableError("a point has no weights")
-            is_not_normalized = np.abs(weight_sums - 1) > ROUNDING
+            is_not_normalized = np.abs(weight_sums - 1) > SUM_ROUNDING
             changed_points += int(is_not_normalized.sum())
             point_count += len(rows)
             rows = rows / np.where(is_not_normalized, weight_sums, 1.0)
@@ -199,7 +199,7 @@ def _author_extent(target: FixTarget, prim: Any) -> Change:
     skinned_bounds = SkinnedBounds(prim) if prim.IsA(UsdSkel.Root) else None
     new_extents = [_extent_with_skin(boundable, code, skinned_bounds) for code in codes]
     if old_extents == new_extents and attr.HasAuthoredValue():
-        return _largest_change(old_extents, new_extents)
+        return _extent_change(old_extents, new_extents)
     spec = _layer_spec(target, prim) or _create_extent_spec(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
@@ -207,7 +207,7 @@ def _author_extent(target: FixTarget, prim: Any) -> Change:
             layer.SetTimeSample(spec.path, time, value)
         if not times:
             spec.default = new_extents[0]
-    return _largest_change(old_extents, new_extents)
+    return _extent_change(old_extents, new_extents)
 
 
 def _layer_spec(target: FixTarget, prim: Any) -> Any:
@@ -237,7 +237,7 @@ def _extent_with_skin(
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(union, np.float32))
 
 
-def _largest_change(old_values: list[Any], new_values: list[Any]) -> Change:
+def _extent_change(old_values: list[Any], new_values: list[Any]) -> Change:
     changes = [
         np.abs(np.array(old_value, np.float64) - np.array(new_value, np.float64)).max()
         for old_value, new_value in zip(old_values, new_values, strict=True)

@@ -25,8 +25,8 @@ from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS_BY_CODE
 from animtool.usd.layers.dependencies import open_composed
-from animtool.usd.layers.jobs import SUFFIXES
-from animtool.usd.layers.sdf import asset_path, export_layer, find_layer, usd_errors
+from animtool.usd.layers.jobs import LAYER_SUFFIXES
+from animtool.usd.layers.sdf import asset_path, export_layer, open_layer, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 
 AnyArray = npt.NDArray[Any]
@@ -38,7 +38,7 @@ class NotFixableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """What an edit changed: a text for the report, and the largest change."""
+    """Report on an edit: a text, and the largest change of a value."""
 
     text: str  # the action and its counts, for the report
     # Largest change of a number, None if not meaningful.
@@ -159,7 +159,7 @@ def _stored_values(spec: Any) -> list[Any]:
 @contextmanager
 def edited_layer(path: Path, content: Any = None) -> Iterator[FixTarget]:
     """Yield a file's stage, its layer with edited content; None keeps the content."""
-    layer = find_layer(path)
+    layer = open_layer(path)
     with without_usd_warnings(), usd_errors(path):
         try:
             if content is not None:
@@ -173,9 +173,9 @@ def edited_layer(path: Path, content: Any = None) -> Iterator[FixTarget]:
 def check_copy_suffixes(source: Path, output: Path) -> None:
     """Raise if a file suffix is not that of a single layer."""
     for path in (source, output):
-        if path.suffix.lower() not in SUFFIXES:
+        if path.suffix.lower() not in LAYER_SUFFIXES:
             message = f"{path.suffix or 'no suffix'} cannot hold a repaired layer"
-            hint = f"allowed: {', '.join(SUFFIXES)}"
+            hint = f"allowed: {', '.join(LAYER_SUFFIXES)}"
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
@@ -241,7 +241,7 @@ def _reanchor_assets(layer: Any, source: Path, output: Path) -> int:
         return 0
     count = 0
 
-    def reanchored(text: str) -> str:
+    def reanchor_path(text: str) -> str:
         nonlocal count
         file_path, package, inner_path = text.partition("[")
         if not file_path or Path(file_path).is_absolute() or "://" in file_path:
@@ -252,5 +252,5 @@ def _reanchor_assets(layer: Any, source: Path, output: Path) -> int:
         count += 1
         return f"{asset_path(old_folder / file_path, new_folder)}{package}{inner_path}"
 
-    UsdUtils.ModifyAssetPaths(layer, reanchored)
+    UsdUtils.ModifyAssetPaths(layer, reanchor_path)
     return count

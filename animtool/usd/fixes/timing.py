@@ -98,12 +98,12 @@ def author_rates(target: FixTarget, _: Fault) -> Edit:
 
 def fit_range(target: FixTarget, _: Fault) -> Edit:
     """Set the layer's frame range to the range of its samples."""
-    return lambda: _fit_range(target, contain_range=False)
+    return lambda: _fit_range(target, keeps_range=False)
 
 
 def widen_range(target: FixTarget, _: Fault) -> Edit:
     """Widen the layer's range to contain all samples."""
-    return lambda: _fit_range(target, contain_range=True)
+    return lambda: _fit_range(target, keeps_range=True)
 
 
 def round_range(target: FixTarget, _: Fault) -> Edit:
@@ -125,11 +125,11 @@ def round_range(target: FixTarget, _: Fault) -> Edit:
     return edit
 
 
-def _fit_range(target: FixTarget, *, contain_range: bool) -> Change:
+def _fit_range(target: FixTarget, *, keeps_range: bool) -> Change:
     stage = target.stage
     first_sample, last_sample = _frame_span(stage)
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
-    if contain_range and start <= last_sample and end >= first_sample:
+    if keeps_range and start <= last_sample and end >= first_sample:
         first_sample, last_sample = min(first_sample, start), max(last_sample, end)
     return _set_range(target.layer, first_sample, last_sample)
 

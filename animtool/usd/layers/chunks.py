@@ -32,7 +32,7 @@ from animtool.usd.layers.sdf import (
 )
 
 if TYPE_CHECKING:
-    from animtool.usd.caches.writer import Block, PointWriter
+    from animtool.usd.caches.writer import FrameBlock, PointWriter
 
 # Samples are flushed to disk above this size [byte].
 MAX_BUFFERED_BYTES = 32_000_000
@@ -68,34 +68,34 @@ class GrowingLayer:
 
 
 @contextmanager
-def growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
+def open_growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
     """Yield a new crate file that receives samples; save it on exit."""
     with _usd_output_errors(path):
         layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
-    growing = GrowingLayer(layer, path)
-    yield growing
-    growing.save()
+    crate_layer = GrowingLayer(layer, path)
+    yield crate_layer
+    crate_layer.save()
 
 
 @contextmanager
-def growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
+def open_growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
     """Yield a layer that receives samples; save it on exit.
 
     ``path`` is the file, or `STDOUT` for usda.
     """
     if path == STDOUT or path.suffix.lower() == ".usda":
-        growing = GrowingLayer(layer)
-        yield growing
-        growing.size = save_layer(layer, path)
+        growing_layer = GrowingLayer(layer)
+        yield growing_layer
+        growing_layer.size = save_layer(layer, path)
         return
     with replacement_path(path) as temporary:
         with (
             packaged(path, temporary) as file,
-            growing_crate(file, path) as growing,
+            open_growing_crate(file, path) as crate_layer,
         ):
-            growing.layer.TransferContent(layer)
-            yield growing
-        growing.size = temporary.stat().st_size
+            crate_layer.layer.TransferContent(layer)
+            yield crate_layer
+        crate_layer.size = temporary.stat().st_size
 
 
 @contextmanager
@@ -162,18 +162,18 @@ def system_clip_files(output: Path) -> ClipFiles:
 class FrameReport(Protocol):
     """Report on the frames of one prim."""
 
-    def count(self, block: Block) -> None:
+    def add_block(self, block: FrameBlock) -> None:
         """Add a block of written frames to the report."""
 
 
 def write_frames(
-    blocks: Iterable[Block],
+    blocks: Iterable[FrameBlock],
     writer: LayerWriter | ChunkedWriter,
     reports: Sequence[FrameReport],
 ) -> None:
     """Write blocks of frames of all prims, and count them in the prims' reports."""
     for block in blocks:
-        reports[block.prim].count(block)
+        reports[block.prim].add_block(block)
         writer.add(block)
 
 
@@ -185,7 +185,7 @@ class LayerWriter:
         self._writers = writers
         self.first, self.last = np.inf, -np.inf  # first and last time code
 
-    def add(self, block: Block) -> None:
+    def add(self, block: FrameBlock) -> None:
         """Write a block of frames of one prim."""
         self._writers[block.prim].add(block)
         self.first = min(self.first, block.codes[0])
@@ -224,7 +224,7 @@ class ChunkedWriter:
         self._open_chunks: dict[int, tuple[ExitStack, Sequence[PointWriter]]] = {}
         self.chunk_starts: list[float] = []
         self.last = -np.inf
-        self._manifest: Any = None  # set by `join`
+        self._manifest: Any = None  # set by `author_value_clips`
 
     def __enter__(self) -> Self:
         return self
@@ -233,7 +233,7 @@ class ChunkedWriter:
         """Close the open files; after an error, discard them."""
         for index in sorted(self._open_chunks):
             if error[0] is None:
-                self._close(index)
+                self._close_chunk(index)
             else:
                 self._open_chunks.pop(index)[0].__exit__(*error)
 
@@ -242,7 +242,7 @@ class ChunkedWriter:
         """Paths of the chunk files, in time order."""
         return [self.files.chunk(number) for number in range(len(self.chunk_starts))]
 
-    def add(self, block: Block) -> None:
+    def add(self, block: FrameBlock) -> None:
         """Write a block of frames to the chunk files of its time codes."""
         codes, begin = block.codes, 0
         while begin < len(codes):
@@ -265,15 +265,15 @@ class ChunkedWriter:
         self.last = max(self.last, float(codes[-1]))
         for chunk in sorted(self._open_chunks):
             if min(self._next_samples) > (chunk + 1) * self._chunk_size:
-                self._close(chunk)
+                self._close_chunk(chunk)
 
-    def _write_block(self, chunk: int, block: Block) -> None:
+    def _write_block(self, chunk: int, block: FrameBlock) -> None:
         self._open_chunks[chunk][1][block.prim].add(block)
 
-    def _close(self, chunk: int) -> None:
+    def _close_chunk(self, chunk: int) -> None:
         self._open_chunks.pop(chunk)[0].close()
 
-    def join(
+    def author_value_clips(
         self,
         layer: Any,
         path: str,
@@ -287,7 +287,7 @@ class ChunkedWriter:
         ``declare_attributes`` declares the attributes of the files in a manifest. With
         ``use_defaults``, the layer also gets the default values of the first file.
         """
-        self._author_clips(layer, path)
+        self._author_clip_metadata(layer, path)
         if use_defaults:
             # Defaults in the layer itself would be stronger than the clips.
             layer.subLayerPaths.append(f"./{self.files.chunk(0).name}")
@@ -295,7 +295,7 @@ class ChunkedWriter:
         declare_attributes(self._manifest)
         author_metadata(self._manifest, metadata)
 
-    def _author_clips(self, layer: Any, path: str) -> None:
+    def _author_clip_metadata(self, layer: Any, path: str) -> None:
         """Author the files as value clips of a prim."""
         starts, files = self.chunk_starts, self.files
         clips = {

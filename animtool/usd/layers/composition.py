@@ -16,14 +16,14 @@ _SUBLAYER_ERROR = re.compile(r"Could not load sublayer @(.*?)@")
 
 def unresolved_arcs(stage: Any) -> Iterator[tuple[str, str]]:
     """Yield the prim path and a description of each composition error, once."""
-    reported = set()
+    reported_arcs = set()
     for error in stage.GetCompositionErrors():
         prim_path = "/"
         if not isinstance(error, Pcp.ErrorInvalidSublayerPath):
             prim_path = str(error.rootSite.path) or "/"
         description = _arc_text(" ".join(str(error).split()), error, stage)
-        if (prim_path, description) not in reported:
-            reported.add((prim_path, description))
+        if (prim_path, description) not in reported_arcs:
+            reported_arcs.add((prim_path, description))
             yield prim_path, description
 
 

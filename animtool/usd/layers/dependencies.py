@@ -28,7 +28,7 @@ class _LayerWalk:
     states: dict[Path, FileState] = field(default_factory=dict)
     # Kept alive, so that the stage uses them.
     layers: list[Any] = field(default_factory=list)
-    _visited: set[str] = field(default_factory=set)
+    _visited_paths: set[str] = field(default_factory=set)
 
     def check_dependencies(self, root_layer: Any) -> None:
         """Check all dependencies of a layer.
@@ -52,11 +52,11 @@ class _LayerWalk:
         """Return a layer by asset path; None if it cannot be opened or was visited."""
         asset = Sdf.ComputeAssetPathRelativeToLayer(layer, asset_name)
         identifier_path, _ = Sdf.Layer.SplitIdentifier(asset)
-        if asset in self._visited or not Sdf.FileFormat.FindByExtension(
+        if asset in self._visited_paths or not Sdf.FileFormat.FindByExtension(
             identifier_path
         ):
             return None
-        self._visited.add(asset)
+        self._visited_paths.add(asset)
         # For a file in a package, the resolver opens the package.
         package_path = identifier_path.partition("[")[0]
         resolved_path = Ar.GetResolver().Resolve(package_path).GetPathString()
@@ -114,11 +114,11 @@ def open_composed(layer: Any, path: Path) -> Any:
     with usd_errors(path), without_usd_warnings():
         walk.check_dependencies(layer)
         stage = Usd.Stage.Open(layer)
-    note_layers(stage, walk.states)
+    record_composed_layers(stage, walk.states)
     return stage
 
 
-def note_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
+def record_composed_layers(stage: Any, states: Mapping[Path, FileState]) -> None:
     """Record the files that a stage composes, including missing ones, as inputs."""
     for layer in stage.GetUsedLayers():
         if layer.anonymous:

@@ -58,7 +58,7 @@ class PrimLocation:
         """Raise a fault at this location as an error."""
         raise FormatError(self.fault(code, message, hint))
 
-    def refuse(self, faults: Iterable[Fault]) -> None:
+    def raise_errors(self, faults: Iterable[Fault]) -> None:
         """Raise faults, including warnings, as an error at this location."""
         errors = [replace(f, path=self.path, severity=Severity.ERROR) for f in faults]
         if errors:
@@ -113,13 +113,15 @@ def matrix_array(attr: Any) -> FloatArray:
     return np.asarray(value if is_valid else (), np.float64).reshape(-1, 4, 4)
 
 
-def joint_order_faults(where: object, joints: Sequence[str]) -> Iterator[Fault]:
+def joint_order_faults(
+    attribute_path: object, joints: Sequence[str]
+) -> Iterator[Fault]:
     """Yield faults of joint paths: duplicates, or a child before its parent."""
     repeated_joints = duplicate_tokens(joints)
     if repeated_joints:
         message = f"{len(repeated_joints)} of {len(joints)} joints are duplicates: "
         message += listed(repeated_joints)
-        yield finding("USD220", where, message)
+        yield finding("USD220", attribute_path, message)
         return
     parents = joint_parents(joints)
     before_parent = np.flatnonzero(parents > np.arange(len(joints)))
@@ -129,7 +131,7 @@ def joint_order_faults(where: object, joints: Sequence[str]) -> Iterator[Fault]:
             f"joint {child}, {excerpt(joints[child])}, comes before its parent, "
             f"joint {parents[child]}"
         )
-        yield finding("USD221", where, message)
+        yield finding("USD221", attribute_path, message)
 
 
 def bind_faults(
@@ -164,8 +166,8 @@ def is_singular(matrices: FloatArray) -> BoolArray:
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=2).prod(axis=1)
     volumes = np.abs(np.linalg.det(linear))
-    mask: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
-    return mask
+    is_degenerate: BoolArray = (volumes <= MIN_VOLUME * lengths) | (lengths == 0)
+    return is_degenerate
 
 
 def unknown_joint_faults(
@@ -185,12 +187,10 @@ def unknown_joint_faults(
 def duplicate_name_faults(attr: Any) -> Iterator[Fault]:
     """Yield a fault for duplicate joints or shapes of an animation."""
     names = token_array(attr)
-    repeated = duplicate_tokens(names)
-    if repeated:
-        message = (
-            f"{len(repeated)} of {len(names)} names are duplicates: {listed(repeated)}"
-        )
-        yield finding("USD207", attr.GetPath(), message)
+    repeated_names = duplicate_tokens(names)
+    if repeated_names:
+        message = f"{len(repeated_names)} of {len(names)} names are duplicates: "
+        yield finding("USD207", attr.GetPath(), message + listed(repeated_names))
 
 
 def transform_attributes(animation: Any) -> dict[str, Any]:
@@ -205,16 +205,19 @@ def transform_attributes(animation: Any) -> dict[str, Any]:
 def missing_transform_faults(animation: Any, joints: Sequence[str]) -> Iterator[Fault]:
     """Yield a fault if an animation lacks translations, rotations or scales."""
     attributes = transform_attributes(animation)
-    unauthored = [n for n, attr in attributes.items() if not attr.HasAuthoredValue()]
-    if len(unauthored) == len(attributes):
+    unauthored_names = [
+        n for n, attr in attributes.items() if not attr.HasAuthoredValue()
+    ]
+    if len(unauthored_names) == len(attributes):
         message = f"lists {counted(len(joints), 'joint')} but has no transforms"
         hint = "author all three, or remove joints"
-        where = str(animation.GetPath())
-        yield Fault("USD150", message, None, (), hint, Severity.WARNING, where=where)
-    elif unauthored:
-        message = (
-            f"no value for {listed(unauthored)}, but {counted(len(joints), 'joint')}"
+        prim_path = str(animation.GetPath())
+        yield Fault(
+            "USD150", message, None, (), hint, Severity.WARNING, where=prim_path
         )
+    elif unauthored_names:
+        message = f"no value for {listed(unauthored_names)}, but "
+        message += counted(len(joints), "joint")
         yield finding("USD201", animation.GetPath(), message)
 
 
@@ -222,8 +225,8 @@ def non_finite_faults(
     attr: Any, matrices: FloatArray, joints: Sequence[str]
 ) -> Iterator[Fault]:
     """Yield a fault if joint transforms are not finite."""
-    not_finite = np.flatnonzero(~(np.abs(matrices) <= MAX_TRANSFORM).all(axis=(1, 2)))
-    if len(not_finite):
-        names = [joints[i] for i in not_finite.tolist()]
-        message = f"{len(not_finite)} transforms are not finite: {listed(names)}"
+    bad_joints = np.flatnonzero(~(np.abs(matrices) <= MAX_TRANSFORM).all(axis=(1, 2)))
+    if len(bad_joints):
+        names = [joints[i] for i in bad_joints.tolist()]
+        message = f"{len(bad_joints)} transforms are not finite: {listed(names)}"
         yield finding("USD225", attr.GetPath(), message)

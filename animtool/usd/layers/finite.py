@@ -74,10 +74,12 @@ def narrow_floats(
     """
     dtype = np.float16 if type_code == "h" else np.float32
     with np.errstate(over="ignore"):
-        narrowed = values.astype(dtype)
-    if narrowed.size and not _is_in_range(narrowed, _TYPE_LIMITS[type_code]):
-        _refuse_non_finite(values, narrowed, type_code, labels, time_codes)
-    return narrowed
+        narrowed_values = values.astype(dtype)
+    if narrowed_values.size and not _is_in_range(
+        narrowed_values, _TYPE_LIMITS[type_code]
+    ):
+        _refuse_non_finite(values, narrowed_values, type_code, labels, time_codes)
+    return narrowed_values
 
 
 def round_to_float32(
@@ -97,9 +99,9 @@ def round_to_float32(
     # suffices.
     if not error < _MAX_ROUNDING * meters_per_unit:
         with np.errstate(all="ignore"):
-            in_unit = points / meters_per_unit
-            in_float32 = in_unit.astype(np.float32)
-        _refuse_non_finite(in_unit, in_float32, "f", labels, time_codes)
+            unit_points = points / meters_per_unit
+            float32_points = unit_points.astype(np.float32)
+        _refuse_non_finite(unit_points, float32_points, "f", labels, time_codes)
     return rounded_points, error, frame, vertex
 
 
@@ -129,7 +131,7 @@ def check_value(
 
     ``code`` is the time code; None is the default.
     """
-    floats = floats_of(value)
+    floats = float_array(value)
     if (
         floats is None
         or not floats.size
@@ -150,7 +152,7 @@ def check_data(value: object, name: str) -> None:
         check_value(value, "d", ValueLabels(name))
 
 
-def floats_of(value: Any) -> npt.NDArray[Any] | None:
+def float_array(value: Any) -> npt.NDArray[Any] | None:
     """Return the floating-point numbers of a value as an array, or None."""
     if hasattr(value, "imaginary"):
         value = [*value.imaginary, value.real]
@@ -179,14 +181,14 @@ def _is_in_range(values: npt.NDArray[Any], limit: float) -> bool:
 
 def _refuse_non_finite(
     values: npt.NDArray[Any],
-    narrowed: npt.NDArray[Any],
+    narrowed_values: npt.NDArray[Any],
     type_code: str,
     labels: ValueLabels,
     time_codes: FloatArray | None,
 ) -> None:
     """Raise an error for the first value that would not be finite in the file."""
     limit = _TYPE_LIMITS[type_code]
-    indices = np.argwhere(~(np.abs(narrowed) <= limit))
+    indices = np.argwhere(~(np.abs(narrowed_values) <= limit))
     if not len(indices):
         return
     index = tuple(indices[0].tolist())

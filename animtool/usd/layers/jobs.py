@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from animtool.usd.takes.splines import CurveReport
 
 
-SUFFIXES = (".usd", ".usda", ".usdc")
+LAYER_SUFFIXES = (".usd", ".usda", ".usdc")
 
 
 class LayerForm(StrEnum):
@@ -67,11 +67,11 @@ def check_path(path: Path) -> None:
 
 def check_suffix(path: Path) -> None:
     """Refuse a path without a USD suffix (OUT004)."""
-    if path.suffix.lower() in SUFFIXES:
+    if path.suffix.lower() in LAYER_SUFFIXES:
         check_path(path)
         return
     message = f"{suffix_text(path)} is not a USD extension"
-    hint = f"allowed: {', '.join(SUFFIXES)}"
+    hint = f"allowed: {', '.join(LAYER_SUFFIXES)}"
     raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
@@ -107,7 +107,7 @@ class WrittenBlock:
 
 
 @dataclass(slots=True)
-class Rounding:
+class RoundingError:
     """Largest rounding errors of all written blocks."""
 
     error: float = 0.0  # largest distance that rounding moved a joint [m]
@@ -116,7 +116,7 @@ class Rounding:
     # Whether scales were rounded too, to UsdSkel's float16.
     has_rounded_scales: bool = False
 
-    def count(self, block: WrittenBlock) -> None:
+    def add_block(self, block: WrittenBlock) -> None:
         """Update the largest rounding errors with those of a block."""
         self.has_rounded_scales |= block.has_rounded_scales
         if block.error > self.error:
@@ -126,7 +126,7 @@ class Rounding:
 
 @dataclass(frozen=True, slots=True)
 class UsdJob:
-    """Settings of `write_usd`."""
+    """Rig, prim paths, units and layers of the takes that `write_usd` writes."""
 
     form: LayerForm
     output: Path  # path of the file, or `STDOUT` for usda
@@ -141,7 +141,7 @@ class UsdJob:
     shot: Shot | None = None  # shot to record
 
     @property
-    def where(self) -> str | None:
+    def fault_path(self) -> str | None:
         """Path of the file in faults; None for stdout."""
         return None if self.output == STDOUT else str(self.output)
 
@@ -184,7 +184,7 @@ class WrittenTake:
     sampled: list[str] = field(default_factory=list)
     joints: int = 0  # joints in the SkelAnimation
     # Errors of rounding to float32, and of scales to float16.
-    rounding: Rounding = field(default_factory=Rounding)
+    rounding: RoundingError = field(default_factory=RoundingError)
     # Reports on the control curves.
     curves: list[CurveReport] = field(default_factory=list)
     props: list[str] = field(default_factory=list)  # paths of the props
@@ -230,7 +230,7 @@ class UsdResult:
         return max(take.joints for take in self.takes)
 
     @property
-    def rounding(self) -> Rounding:
+    def rounding(self) -> RoundingError:
         """Rounding errors of the take with the largest joint error."""
         return max((take.rounding for take in self.takes), key=lambda r: r.error)
 

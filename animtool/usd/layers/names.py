@@ -45,8 +45,10 @@ def legal_name(name: str) -> str:
     name = valid_text(name)
     if Sdf.Path.IsValidIdentifier(name):
         return name
-    legal = "".join(c if Sdf.Path.IsValidIdentifier("a" + c) else "_" for c in name)
-    return legal if Sdf.Path.IsValidIdentifier(legal) else "_" + legal
+    legal_text = "".join(
+        c if Sdf.Path.IsValidIdentifier("a" + c) else "_" for c in name
+    )
+    return legal_text if Sdf.Path.IsValidIdentifier(legal_text) else "_" + legal_text
 
 
 def joint_names(joints: Sequence[Joint], strip_namespaces: int = 0) -> UsdNames:

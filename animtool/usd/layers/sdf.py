@@ -163,9 +163,9 @@ def asset_path(file: Path, folder: Path) -> str:
 
 
 @expects_format("USD001", "a USD file", USD_FILE_HINT)
-def find_layer(path: Path) -> Any:
+def open_layer(path: Path) -> Any:
     """Open a layer by its path."""
-    state = layer_state(path, recorded=True)
+    state = layer_state(path, is_recorded=True)
     with usd_errors(path):
         layer = Sdf.Layer.FindOrOpen(str(path))
         # An open layer may be older than its file.
@@ -178,12 +178,12 @@ def find_layer(path: Path) -> Any:
     return layer
 
 
-def layer_state(path: Path, *, recorded: bool = False) -> FileState:
+def layer_state(path: Path, *, is_recorded: bool = False) -> FileState:
     """Check the size of a file that USD may open, and return its file state.
 
-    ``recorded`` says whether a user or a document names it as an input.
+    ``is_recorded`` says whether a user or a document names it as an input.
     """
-    with open_input(path, None, is_recorded=recorded) as file:
+    with open_input(path, None, is_recorded=is_recorded) as file:
         is_binary = (
             file.read(len(CRATE_MAGIC)) == CRATE_MAGIC or path.suffix.lower() == ".usdz"
         )
@@ -240,10 +240,12 @@ def new_layer(path: Path) -> Any:
     return Sdf.Layer.CreateAnonymous(".usdc" if is_package else path.suffix)
 
 
-def prim_spec(layer: Any, path: str, type_name: str = "", *, over: bool = False) -> Any:
+def prim_spec(
+    layer: Any, path: str, type_name: str = "", *, is_over: bool = False
+) -> Any:
     """Return the spec of a prim; create it, with its ancestors as overs, if needed."""
     spec = Sdf.CreatePrimInLayer(layer, path)
-    spec.specifier = Sdf.SpecifierOver if over else Sdf.SpecifierDef
+    spec.specifier = Sdf.SpecifierOver if is_over else Sdf.SpecifierDef
     if type_name:
         spec.typeName = type_name
     return spec
@@ -255,11 +257,11 @@ def attribute_spec(
     type_name: Any,
     value: Any = None,
     *,
-    uniform: bool = False,
+    is_uniform: bool = False,
     interpolation: str = "",
 ) -> Any:
     """Create an attribute of a prim, with an optional default."""
-    variability = Sdf.VariabilityUniform if uniform else Sdf.VariabilityVarying
+    variability = Sdf.VariabilityUniform if is_uniform else Sdf.VariabilityVarying
     attr = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
         if letter := float_letter(type_name):
@@ -352,7 +354,7 @@ def author_xform_order(spec: Any, *names: str) -> None:
     """Author the xformOpOrder of a prim."""
     order = Vt.TokenArray(names)
     types = Sdf.ValueTypeNames
-    attribute_spec(spec, "xformOpOrder", types.TokenArray, order, uniform=True)
+    attribute_spec(spec, "xformOpOrder", types.TokenArray, order, is_uniform=True)
 
 
 def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
@@ -405,7 +407,7 @@ class SampleWriter:
         attr: Any,
         convert: Callable[[Any], Any],
         *,
-        every_frame: bool = False,
+        writes_every_frame: bool = False,
         with_default: bool = True,
         are_quaternions: bool = False,
         noun: str = "",
@@ -413,10 +415,10 @@ class SampleWriter:
     ) -> None:
         self._attribute, self._path = attr, attr.path
         self._set_sample = attr.layer.SetTimeSample
-        self._convert = convert
-        self._every_frame = every_frame
+        self._convert_value = convert
+        self._every_frame = writes_every_frame
         self._has_default = with_default
-        self._letter = float_letter(attr.typeName)
+        self._float_letter = float_letter(attr.typeName)
         self._labels = ValueLabels(str(self._path), noun, names)
         self._first_value: npt.NDArray[Any] | None = None
         self._are_quaternions = are_quaternions
@@ -427,11 +429,11 @@ class SampleWriter:
     def add(self, codes: FloatArray, values: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
         values = self._with_continuous_signs(np.ascontiguousarray(values))
-        if self._letter:
-            check_rows(values, self._letter, self._labels, codes)
+        if self._float_letter:
+            check_rows(values, self._float_letter, self._labels, codes)
         if self._every_frame:
             if not self.has_samples and self._has_default:
-                self._attribute.default = self._convert(values[0])
+                self._attribute.default = self._convert_value(values[0])
             self.has_samples = True
         elif self._first_value is None:
             self._first_value = values[0].copy()
@@ -442,7 +444,7 @@ class SampleWriter:
                 self._static_codes.append(codes)
                 return
             self.start_sampling()
-        set_value, path, convert = self._set_sample, self._path, self._convert
+        set_value, path, convert = self._set_sample, self._path, self._convert_value
         for code, value in zip(codes.tolist(), values, strict=True):
             set_value(path, code, convert(value))
 
@@ -452,8 +454,8 @@ class SampleWriter:
             return values
         previous = values[0] if self._last_value is None else self._last_value
         if values.dtype == np.float32 and values.ndim == 3:
-            aligned = _kernels.continue_signs(values, previous)
-            values = values if aligned is None else aligned
+            aligned_values = _kernels.continue_signs(values, previous)
+            values = values if aligned_values is None else aligned_values
         else:
             values = so3.align_signs(values, previous).astype(values.dtype)
         self._last_value = values[-1]
@@ -464,7 +466,7 @@ class SampleWriter:
         if self.has_samples:
             return
         self.has_samples = True
-        value = self._convert(self._first_value)
+        value = self._convert_value(self._first_value)
         for codes in self._static_codes:
             for code in codes.tolist():
                 self._set_sample(self._path, code, value)
@@ -476,13 +478,13 @@ class SampleWriter:
         Readers that query the attribute without a time code get this value.
         """
         if self.has_samples and self._first_value is not None:
-            self._attribute.default = self._convert(self._first_value)
+            self._attribute.default = self._convert_value(self._first_value)
 
     def finish(self, fallback: npt.NDArray[Any]) -> None:
         """Author constant values as the default; ``fallback`` if there are none."""
         if not self.has_samples:
             default = fallback if self._first_value is None else self._first_value
-            value = self._convert(default)
-            if self._letter:
-                check_value(value, self._letter, self._labels)
+            value = self._convert_value(default)
+            if self._float_letter:
+                check_value(value, self._float_letter, self._labels)
             self._attribute.default = value

@@ -26,7 +26,7 @@ _DIAGNOSTIC_PREFIXES = (
     b"Runtime Error: in ",
 )
 # Beginning of the last line of a diagnostic that has several, such as a cycle.
-_LAST_LINE = b" ("
+_LAST_LINE_PREFIX = b" ("
 
 
 @contextmanager
@@ -67,7 +67,7 @@ def _print_other_lines(buffer: IO[bytes], dropped_texts: tuple[bytes, ...]) -> N
     is_continued = False
     for line in buffer:
         if is_continued:
-            is_continued = not line.startswith(_LAST_LINE)
+            is_continued = not line.startswith(_LAST_LINE_PREFIX)
         elif any(text in line for text in dropped_texts):
             is_continued = line.rstrip().endswith(b":")
         else:

@@ -11,7 +11,7 @@ from animtool.core.errors import Fault, excerpt
 from animtool.core.names import most_similar
 from animtool.core.source_lines import SourceLineCache
 
-FIRST_LINE = "#usda 1.0"
+USDA_HEADER = "#usda 1.0"
 # File, line, column, error, the text at that position, and the prim or attribute.
 _LOCATED_ERROR = re.compile(r"(\S+):(\d+):(\d+): (.*?) at '(.*?)' in <(.*?)>")
 _UNQUOTED_NAME = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]|$)")
@@ -24,8 +24,8 @@ _MAX_LENGTH = 300
 _FaultText = Callable[[re.Match[str], str], tuple[str, str | None]]
 _FAULT_PATTERNS: dict[str, _FaultText] = {
     r"Unable to parse layer version|is not a valid usda layer": lambda _, __: (
-        f"the first line is not {FIRST_LINE!r}",
-        f"write {FIRST_LINE!r} in the first line",
+        f"the first line is not {USDA_HEADER!r}",
+        f"write {USDA_HEADER!r} in the first line",
     ),
     r"Cannot parse layer version '(.*?)'.*?version is '(.*?)'": lambda match, __: (
         f"is USD text of version {match[1]}; the installed USD reads {match[2]}",

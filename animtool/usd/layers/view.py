@@ -8,7 +8,7 @@ from pathlib import Path
 from pxr import Sdf
 
 from animtool.core.files.output import replacement_path
-from animtool.usd.layers.sdf import find_layer, usd_errors
+from animtool.usd.layers.sdf import open_layer, usd_errors
 
 _METADATA_FIELDS = (
     "defaultPrim",
@@ -36,10 +36,10 @@ def write_view(
         stronger_paths: Stronger layers, such as looks and props, the strongest first.
     """
     for other_path in (*stronger_paths, *weaker_paths):
-        find_layer(other_path)
+        open_layer(other_path)
     with usd_errors(layer_path):
         # Kept alive, so that it stays open.
-        layer = find_layer(layer_path)
+        layer = open_layer(layer_path)
         pseudo_root = layer.pseudoRoot
         view = Sdf.Layer.CreateAnonymous(".usda")
         sublayer_paths = [*stronger_paths, layer_path, *weaker_paths]

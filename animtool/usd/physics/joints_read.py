@@ -43,7 +43,7 @@ SWING_RANGE = math.radians(1e-3), math.radians(179.0)
 def read_joint(
     source: PhysicsStage,
     prim: Any,
-    body_index: Mapping[str, int],
+    body_indices: Mapping[str, int],
     is_dynamic: Sequence[bool],
 ) -> PhysicsJoint | None:
     """Return a joint between bodies; None if it is disabled or has no bodies.
@@ -64,8 +64,8 @@ def read_joint(
     axis_rotation = so3.shortest_rotation(AXIS_VECTORS["X"], AXIS_VECTORS[axis_name])
     bodies, frames = [], []
     for side in (0, 1):
-        position = source.numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
-        rotation = source.numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
+        position = source.read_numbers(prim.GetAttribute(f"physics:localPos{side}"), 3)
+        rotation = source.read_numbers(prim.GetAttribute(f"physics:localRot{side}"), 4)
         local_frame = IDENTITY_POSE.copy()
         local_frame[:3] = 0.0 if position is None else position * source.meters_per_unit
         local_frame[3:] = (
@@ -77,7 +77,9 @@ def read_joint(
             message = f"has {len(targets)} targets for body{side}: using {targets[0]}"
             source.add_notice(prim, message)
         target = targets[0] if targets else None
-        body, frame = _resolve_body(source, prim, side, target, local_frame, body_index)
+        body, frame = _resolve_body(
+            source, prim, side, target, local_frame, body_indices
+        )
         bodies.append(body)
         frames.append(frame)
     if bodies[0] < 0 and bodies[1] < 0:
@@ -108,7 +110,7 @@ def read_joint(
 
 def _break_limit(source: PhysicsStage, prim: Any, name: str, power: int) -> float:
     """Return the break force [N] or torque [N m] of a joint; inf if unbreakable."""
-    value = source.number_or_infinity(prim.GetAttribute(f"physics:{name}"))
+    value = source.read_number_or_infinity(prim.GetAttribute(f"physics:{name}"))
     if value is None or not 0 < value < MAX_FORCE:
         return math.inf
     return float(value) * source.kilograms_per_unit * source.meters_per_unit**power
@@ -120,7 +122,7 @@ def _resolve_body(
     side: int,
     target: Any,
     local_frame: FloatArray,
-    body_index: Mapping[str, int],
+    body_indices: Mapping[str, int],
 ) -> tuple[int, FloatArray]:
     """Return a body of a joint (-1 is the world), and the joint frame in its space."""
     if target is None:
@@ -130,7 +132,7 @@ def _resolve_body(
         message = f"body{side} refers to {excerpt(str(target))}, which does not exist"
         hint = nearest_prim(source.stage, str(target))
         source.fail(joint, message, hint)
-    pose, scale = source.pose(source.matrix(prim))
+    pose, scale = source.pose_and_scale(source.world_matrix(prim))
     local_frame = np.concatenate([local_frame[:3] * scale, local_frame[3:]])
     joint_pose = np.concatenate(
         [
@@ -139,10 +141,10 @@ def _resolve_body(
         ]
     )
     for ancestor in self_and_ancestors(prim):
-        body = body_index.get(str(ancestor.GetPath()))
+        body = body_indices.get(str(ancestor.GetPath()))
         if body is not None:
             return body, relative_pose(
-                source.pose(source.matrix(ancestor))[0], joint_pose
+                source.pose_and_scale(source.world_matrix(ancestor))[0], joint_pose
             )
         if is_body(ancestor):
             message = (
@@ -167,7 +169,7 @@ def _joint_limits(
             *names,
             *(f"limit:{axis}:physics:{end}" for axis, end in limit_names),
         ):
-            source.number_or_infinity(prim.GetAttribute(name))
+            source.read_number_or_infinity(prim.GetAttribute(name))
         ball_limit = read_ball_limit(prim, (1.0, 0.0, 0.0))
         if ball_limit is None:
             return None, None
@@ -177,7 +179,7 @@ def _joint_limits(
             swing_limits = swing_y, swing_z
         return _valid_range(source, prim, ball_limit.twist, 2 * math.pi), swing_limits
     lower, upper = (
-        source.number_or_infinity(prim.GetAttribute(f"physics:{end}Limit"))
+        source.read_number_or_infinity(prim.GetAttribute(f"physics:{end}Limit"))
         for end in ("lower", "upper")
     )
     if lower is None or upper is None or (math.isinf(lower) and math.isinf(upper)):
@@ -232,10 +234,10 @@ def _joint_drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | Non
     position_unit = source.meters_per_unit if is_linear else math.radians(1.0)
 
     def value(drive: Any, name: str, minimum: float = -MAX_NUMBER) -> float:
-        return source.number(getattr(drive, f"Get{name}Attr")(), minimum) or 0.0
+        return source.read_number(getattr(drive, f"Get{name}Attr")(), minimum) or 0.0
 
     targets = [value(drive, "TargetPosition") * position_unit for drive in drives]
-    max_force = source.number_or_infinity(drives[0].GetMaxForceAttr())
+    max_force = source.read_number_or_infinity(drives[0].GetMaxForceAttr())
     velocities = [value(drive, "TargetVelocity") for drive in drives]
     is_ball = kind == "ball"
     if is_ball and any(velocities):

@@ -49,7 +49,7 @@ def read_shapes(
 ) -> Iterator[PhysicsShape]:
     """Yield the collision shape of a prim, relative to a frame, if it is supported."""
     translation, rotation, _ = decompose(parent_frame[None])
-    pose, scale = source.pose(source.matrix(prim))
+    pose, scale = source.pose_and_scale(source.world_matrix(prim))
     frame = np.concatenate([translation[0] * source.meters_per_unit, rotation[0]])
     pose = source.to_y_up(pose) if is_static else relative_pose(frame, pose)
     scale_range = float(np.abs(scale).max()), float(np.abs(scale).min())
@@ -139,9 +139,11 @@ def _read_mesh(
     if message := mesh_fault(points, counts, vertex_indices):
         source.fail(prim, message)
     points = points * scale * source.meters_per_unit
-    largest = float(np.abs(points).max())
-    if largest > MAX_NUMBER:
-        source.fail(prim, f"has a point at {largest:g} m; the limit is {MAX_NUMBER:g}")
+    max_coordinate = float(np.abs(points).max())
+    if max_coordinate > MAX_NUMBER:
+        source.fail(
+            prim, f"has a point at {max_coordinate:g} m; the limit is {MAX_NUMBER:g}"
+        )
     return points, triangulate(counts, vertex_indices).astype(np.int64)
 
 
@@ -158,8 +160,8 @@ def _read_friction_and_restitution(
     if not material or not material.GetPrim().HasAPI(UsdPhysics.MaterialAPI):
         return 0.5, 0.0
     api = UsdPhysics.MaterialAPI(material.GetPrim())
-    friction = source.number(api.GetDynamicFrictionAttr()) or 0.0
-    restitution = source.number(api.GetRestitutionAttr()) or 0.0
+    friction = source.read_number(api.GetDynamicFrictionAttr()) or 0.0
+    restitution = source.read_number(api.GetRestitutionAttr()) or 0.0
     used_values = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
     if used_values != (friction, restitution):
         message = (
@@ -218,7 +220,7 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
         )
         hint = "supported shapes are spheres, capsules, cubes and meshes"
         source.fail(root, message, hint)
-    body_index = {
+    body_indices = {
         str(body_prims[k].GetPath()): body for body, k in enumerate(shaped_indices)
     }
     is_dynamic = [not bodies[k].kinematic for k in shaped_indices]
@@ -226,7 +228,7 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
         joint
         for prim in prims
         if prim.IsA(UsdPhysics.Joint)
-        and (joint := read_joint(source, prim, body_index, is_dynamic)) is not None
+        and (joint := read_joint(source, prim, body_indices, is_dynamic)) is not None
     ]
     for prim in prims:
         if prim.IsA(UsdPhysics.CollisionGroup):
@@ -249,8 +251,8 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
 
 
 def _read_body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
-    matrix = source.matrix(prim)
-    pose, scale = source.pose(matrix)
+    matrix = source.world_matrix(prim)
+    pose, scale = source.pose_and_scale(matrix)
     rigid_api = UsdPhysics.RigidBodyAPI(prim)
     is_kinematic = bool(rigid_api.GetKinematicEnabledAttr().Get())
     shapes = [
@@ -260,13 +262,13 @@ def _read_body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         for shape in read_shapes(source, shape_prim, matrix, is_static=False)
     ]
     parent_matrix = source.cache.GetParentToWorldTransform(prim)
-    parent_rotation = source.pose(np.array(parent_matrix, np.float64))[0][3:]
+    parent_rotation = source.pose_and_scale(np.array(parent_matrix, np.float64))[0][3:]
     parent_rotation = so3.multiply(source.up_rotation, parent_rotation)
-    velocity, spin = (
+    velocity, angular_velocity = (
         np.zeros(3) if vector is None else so3.rotate(parent_rotation, vector)
         for vector in (
-            source.numbers(rigid_api.GetVelocityAttr(), 3),
-            source.numbers(rigid_api.GetAngularVelocityAttr(), 3),
+            source.read_numbers(rigid_api.GetVelocityAttr(), 3),
+            source.read_numbers(rigid_api.GetAngularVelocityAttr(), 3),
         )
     )
     times, poses = np.zeros(1), None
@@ -278,7 +280,7 @@ def _read_body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         shapes,
         **_read_mass(source, prim, scale),
         velocity=velocity * source.meters_per_unit,
-        spin=np.radians(spin),
+        spin=np.radians(angular_velocity),
         kinematic=is_kinematic,
         times=times,
         path=poses,
@@ -309,7 +311,7 @@ def _kinematic_poses(
         source.fail(prim, message, hint)
     for code in sample_codes:
         source.cache.SetTime(Usd.TimeCode(code))
-        rows.append(source.to_y_up(source.pose(source.matrix(prim))[0]))
+        rows.append(source.to_y_up(source.pose_and_scale(source.world_matrix(prim))[0]))
     source.cache.SetTime(Usd.TimeCode(source.start_code))
     rate = float(source.stage.GetTimeCodesPerSecond())
     return (np.array(sample_codes) - source.start_code) / rate, np.array(rows)
@@ -321,8 +323,8 @@ def _read_mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, 
     values: dict[str, Any] = {}
     if not prim.HasAPI(UsdPhysics.MassAPI):
         return {}
-    density = source.number(api.GetDensityAttr(), 0.0)
-    mass = source.number(api.GetMassAttr(), 0.0)
+    density = source.read_number(api.GetDensityAttr(), 0.0)
+    mass = source.read_number(api.GetMassAttr(), 0.0)
     if density:
         values["density"] = (
             density * source.kilograms_per_unit / source.meters_per_unit**3
@@ -334,15 +336,15 @@ def _read_mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, 
     centre_value = np.array(centre_attr.Get())
     centre_local = None
     if centre_value.dtype.kind != "f" or not np.isneginf(centre_value).all():
-        centre_local = source.numbers(centre_attr, 3)
+        centre_local = source.read_numbers(centre_attr, 3)
     if centre_local is not None:
         values["centre"] = centre_local * scale * source.meters_per_unit
-    inertia = source.numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
+    inertia = source.read_numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
     if inertia is not None and inertia.any():
         values["inertia"] = (
             inertia * source.kilograms_per_unit * source.meters_per_unit**2
         )
-        axes = source.numbers(api.GetPrincipalAxesAttr(), 4)
+        axes = source.read_numbers(api.GetPrincipalAxesAttr(), 4)
         if axes is not None and axes.any():
             values["axes"] = so3.normalize(axes)
     return values

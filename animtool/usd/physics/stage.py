@@ -66,7 +66,7 @@ class PhysicsStage:
         """Raise a fault at a prim or an attribute (SIM051)."""
         PrimLocation.from_prim(self.path, prim).fail("SIM051", message, hint)
 
-    def numbers(
+    def read_numbers(
         self, attribute: Any, count: int, minimum: float = -MAX_NUMBER
     ) -> FloatArray | None:
         """Return the numbers of an attribute ``(count,)``; None if absent."""
@@ -88,19 +88,19 @@ class PhysicsStage:
             self.fail(attribute, message)
         return row
 
-    def number(self, attribute: Any, minimum: float = -MAX_NUMBER) -> float | None:
+    def read_number(self, attribute: Any, minimum: float = -MAX_NUMBER) -> float | None:
         """Return the number of an attribute; None if absent."""
-        row = self.numbers(attribute, 1, minimum)
+        row = self.read_numbers(attribute, 1, minimum)
         return None if row is None else float(row[0])
 
-    def number_or_infinity(self, attribute: Any) -> float | None:
+    def read_number_or_infinity(self, attribute: Any) -> float | None:
         """Return a number, or infinity if near the largest float32; None if absent."""
         value = attribute.Get() if attribute else None
         if isinstance(value, float) and abs(value) >= MAX_FORCE:
             return math.copysign(math.inf, value)
-        return self.number(attribute)
+        return self.read_number(attribute)
 
-    def matrix(self, prim: Any) -> FloatArray:
+    def world_matrix(self, prim: Any) -> FloatArray:
         """Return a prim's world transform ``(4, 4)``, row vectors, stage units."""
         matrix = np.array(self.cache.GetLocalToWorldTransform(prim), np.float64)
         limit = MAX_NUMBER / max(self.meters_per_unit, 1.0)
@@ -112,7 +112,7 @@ class PhysicsStage:
             self.fail(prim, message)
         return matrix
 
-    def pose(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def pose_and_scale(self, matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return a pose ``(7,)`` in metres in stage axes, and scales ``(3,)``."""
         translation, rotation, scale = decompose(matrix[None])
         return np.concatenate(
@@ -137,9 +137,9 @@ class PhysicsStage:
             ):
                 acceleration = EARTH_GRAVITY
             else:
-                magnitude = self.number(scene.GetGravityMagnitudeAttr())
+                magnitude = self.read_number(scene.GetGravityMagnitudeAttr())
                 acceleration = (magnitude or 0.0) * self.meters_per_unit
-            direction = self.numbers(scene.GetGravityDirectionAttr(), 3)
+            direction = self.read_numbers(scene.GetGravityDirectionAttr(), 3)
             if direction is None:
                 direction = np.zeros(3)
             if not direction.any():

@@ -158,7 +158,7 @@ class PhysicsWriter:
         apply_schemas(
             spec, [*schemas, *(["PhysicsMeshCollisionAPI"] if is_mesh else [])]
         )
-        attribute_spec(spec, "purpose", _TYPES.Token, "guide", uniform=True)
+        attribute_spec(spec, "purpose", _TYPES.Token, "guide", is_uniform=True)
         pose, names = shape.pose, ["xformOp:translate", "xformOp:orient"]
         translation = gf_vector(pose[:3] / self._unit)
         attribute_spec(spec, names[0], _TYPES.Double3, translation)
@@ -168,7 +168,7 @@ class PhysicsWriter:
             case "sphere":
                 attribute_spec(spec, "radius", _TYPES.Double, sizes[0])
             case "capsule":
-                attribute_spec(spec, "axis", _TYPES.Token, "Y", uniform=True)
+                attribute_spec(spec, "axis", _TYPES.Token, "Y", is_uniform=True)
                 attribute_spec(spec, "radius", _TYPES.Double, sizes[0])
                 attribute_spec(spec, "height", _TYPES.Double, sizes[1])
             case "box":
@@ -176,7 +176,7 @@ class PhysicsWriter:
                 names.append("xformOp:scale")
                 attribute_spec(spec, names[2], _TYPES.Float3, Gf.Vec3f(*sizes))
             case "plane":
-                attribute_spec(spec, "axis", _TYPES.Token, "Y", uniform=True)
+                attribute_spec(spec, "axis", _TYPES.Token, "Y", is_uniform=True)
             case "mesh":
                 self._write_mesh(spec, shape, approximation)
         author_xform_order(spec, *names)
@@ -198,7 +198,7 @@ class PhysicsWriter:
         }
         author_mesh(spec, values, is_closed=True)
         name, token = "physics:approximation", _TYPES.Token
-        attribute_spec(spec, name, token, approximation, uniform=True)
+        attribute_spec(spec, name, token, approximation, is_uniform=True)
 
     def _material_path(self, friction: float, restitution: float) -> str:
         """Return the path of a material; write it on first use."""
@@ -240,7 +240,7 @@ class PhysicsWriter:
             attribute_spec(spec, "physics:collisionEnabled", _TYPES.Bool, value=True)
         schemas: list[str] = []
         if joint.kind != "fixed" and not (joint.kind == "ball" and has_twist_limit):
-            attribute_spec(spec, "physics:axis", _TYPES.Token, "X", uniform=True)
+            attribute_spec(spec, "physics:axis", _TYPES.Token, "X", is_uniform=True)
         if joint.kind == "ball":
             limits = BallLimit(joint.swing, joint.limits, (1.0, 0.0, 0.0))
             schemas += author_ball_limit(spec, limits, is_twist_limited=has_twist_limit)
@@ -269,7 +269,7 @@ class PhysicsWriter:
                 axes = dict(zip(("rotX", "rotY", "rotZ"), rotation, strict=True))
         for axis, target in axes.items():
             name = f"drive:{axis}:physics"
-            attribute_spec(spec, f"{name}:type", _TYPES.Token, "force", uniform=True)
+            attribute_spec(spec, f"{name}:type", _TYPES.Token, "force", is_uniform=True)
             self._author_number(spec, f"{name}:targetPosition", target * position_unit)
             self._author_number(spec, f"{name}:stiffness", drive.stiffness * gain_unit)
             self._author_number(spec, f"{name}:damping", drive.damping * gain_unit)

@@ -315,12 +315,12 @@ class _CharacterGroup:
         positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
         op_names = ["xformOp:translate"]
         translate = attribute_spec(spec, "xformOp:translate", _TYPES.Float3)
-        rows = _changing_frames(positions, POSITION_TOLERANCE / unit)
+        changed_frames = _changing_frames(positions, POSITION_TOLERANCE / unit)
         write_samples(
             translate,
             track.codes,
-            rows,
-            [Gf.Vec3f(*position) for position in positions[rows].tolist()],
+            changed_frames,
+            [Gf.Vec3f(*position) for position in positions[changed_frames].tolist()],
         )
         if (self.up_rotation != so3.IDENTITY).any():
             attribute_spec(
@@ -329,8 +329,12 @@ class _CharacterGroup:
             op_names.append("xformOp:orient")
         rotate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
         degrees = np.degrees(track.headings[:, i]).astype(np.float32)
-        rows = _changing_frames(degrees[:, None], np.degrees(HEADING_TOLERANCE))
-        write_samples(rotate, track.codes, rows, degrees[rows].tolist())
+        changed_frames = _changing_frames(
+            degrees[:, None], np.degrees(HEADING_TOLERANCE)
+        )
+        write_samples(
+            rotate, track.codes, changed_frames, degrees[changed_frames].tolist()
+        )
         op_names.append("xformOp:rotateY")
         if track.scales[i] != 1:
             scale = Gf.Vec3f(*[float(track.scales[i])] * 3)
@@ -340,12 +344,14 @@ class _CharacterGroup:
         is_visible = track.visible[:, i]
         if not is_visible.all():
             visibility = attribute_spec(spec, "visibility", _TYPES.Token)
-            rows = np.flatnonzero(np.diff(is_visible, prepend=~is_visible[:1]))
+            changed_frames = np.flatnonzero(
+                np.diff(is_visible, prepend=~is_visible[:1])
+            )
             tokens = [
                 "inherited" if visible else "invisible"
-                for visible in is_visible[rows].tolist()
+                for visible in is_visible[changed_frames].tolist()
             ]
-            write_samples(visibility, track.codes, rows, tokens)
+            write_samples(visibility, track.codes, changed_frames, tokens)
         rig = prim_spec(self.layer, f"{path}/Rig", "SkelRoot")
         rig.SetInfo("instanceable", True)
         rig.referenceList.explicitItems = [Sdf.Reference("", self.paths.root)]
@@ -366,10 +372,10 @@ class _CharacterGroup:
         rest = self.track.cast.rig.rest_rotations[self.track.cast.animated]
         is_animated = is_animated | ((poses[0] * rest).sum(axis=-1) ** 2 < 1 - 1e-9)
         spec = self._author_animation(f"{path}/Anim", np.flatnonzero(is_animated))
-        rows = np.flatnonzero(is_written)
+        sample_frames = np.flatnonzero(is_written)
         rotations = spec.attributes["rotations"]
-        arrays = _vt_arrays(Vt.QuatfArray, poses[rows][:, is_animated])
-        write_samples(rotations, self.track.codes, rows, arrays)
+        arrays = _vt_arrays(Vt.QuatfArray, poses[sample_frames][:, is_animated])
+        write_samples(rotations, self.track.codes, sample_frames, arrays)
 
     def _author_animation(self, path: str, animated_indices: IntArray) -> Any:
         """Author a SkelAnimation whose joints keep their rest translations."""
@@ -379,7 +385,7 @@ class _CharacterGroup:
         spec.SetInfo("customData", {"animtool": {"thinned": True}})
         tokens = cast.rig.paths(joint_names(cast.rig.joints, 0).names)
         joint_tokens = Vt.TokenArray([tokens[j] for j in joints.tolist()])
-        attribute_spec(spec, "joints", _TYPES.TokenArray, joint_tokens, uniform=True)
+        attribute_spec(spec, "joints", _TYPES.TokenArray, joint_tokens, is_uniform=True)
         rest = (cast.rig.rest_translations[joints] / unit).astype(np.float32)
         translations = Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(rest))
         attribute_spec(spec, "translations", _TYPES.Float3Array, translations)
@@ -451,9 +457,9 @@ def _align_signs(rotations: Float32Array) -> Float32Array:
     """Return rotations ``(F, …, 4)`` with signs continuous over frames."""
     products = (rotations[1:] * rotations[:-1]).sum(axis=-1)
     signs = np.cumprod(np.where(products < 0, -1, 1), axis=0).astype(np.float32)
-    aligned = rotations.copy()
-    aligned[1:] *= signs[..., None]
-    return aligned
+    aligned_rotations = rotations.copy()
+    aligned_rotations[1:] *= signs[..., None]
+    return aligned_rotations
 
 
 def _changing_frames(values: Float32Array, tolerance: float) -> IntArray:

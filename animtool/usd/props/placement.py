@@ -91,7 +91,7 @@ class PropPlacements:
             return transforms
         if rig_placement.is_animated:
             rig_placement = self.target.placement(codes)
-        placement = rig_placement.fixed
+        placement = rig_placement.fixed_placement
         if self.rig_from_take is not None:
             placement = placement.after(self.rig_from_take(codes))
         if placement.simplified().is_identity:

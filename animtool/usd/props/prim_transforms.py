@@ -85,8 +85,10 @@ def world_matrices(prim: Any, codes: FloatArray, relative_to: Any = None) -> Flo
     return np.array(matrices, np.float64).reshape(-1, 4, 4)
 
 
-def _require_prim(stage: Any, path: Path, name: str, where: str | None = None) -> Any:
-    """Return a prim; raise `FormatError` at ``where`` if it is missing."""
+def _require_prim(
+    stage: Any, path: Path, name: str, fault_location: str | None = None
+) -> Any:
+    """Return a prim; raise `FormatError` at ``fault_location`` if it is missing."""
     prim = find_prim(stage, name)
     if prim:
         return prim
@@ -96,6 +98,6 @@ def _require_prim(stage: Any, path: Path, name: str, where: str | None = None) -
             f"has no prim {excerpt(name)}",
             str(path),
             hint=nearest_prim(stage, name),
-            where=where,
+            where=fault_location,
         )
     )

@@ -252,7 +252,7 @@ class _PrimSampler:
     unit: float  # unit of the stage [m]
     # Rotation from its up axis to the rig's; None if equal.
     up_rotation: tuple[float, float, float, float] | None
-    where: str
+    file_path: str
     has_transform: bool  # whether it has a world transform
     # Time codes of all samples, ascending.
     keys: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -345,7 +345,7 @@ class _PrimSampler:
         for attribute, attribute_type in zip(
             self.attributes, self.attribute_types, strict=True
         ):
-            with usd_errors(Path(self.where)):
+            with usd_errors(Path(self.file_path)):
                 samples = [attribute.Get(Usd.TimeCode(code)) for code in codes.tolist()]
             if attribute_type.width:
                 values = np.array(samples, np.float64).reshape(
@@ -363,7 +363,7 @@ class _PrimSampler:
 
     def _matrices(self, codes: FloatArray) -> FloatArray:
         """Return world matrices, column vectors [m] ``(F, 4, 4)``."""
-        with usd_errors(Path(self.where)):
+        with usd_errors(Path(self.file_path)):
             matrices = world_matrices(self.prim, codes).swapaxes(1, 2)
         self._check_finite(matrices)
         matrices[:, :3, 3] *= self.unit
@@ -374,7 +374,7 @@ class _PrimSampler:
     def _check_finite(self, values: FloatArray) -> None:
         if not np.isfinite(values).all():
             message = "its transform, or a value of it, is not finite"
-            PrimLocation.from_prim(self.where, self.prim).fail("USD171", message)
+            PrimLocation.from_prim(self.file_path, self.prim).fail("USD171", message)
 
 
 def _remove_rounding(scales: FloatArray) -> FloatArray:

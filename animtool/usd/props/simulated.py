@@ -1,6 +1,6 @@
 """Writes simulated prims to a layer while the simulation runs.
 
-Each frame is a record of a prim's values; `FRAME_FORMS` maps each type to its writer.
+Each frame is a record of values; `FRAME_ENCODERS` maps each type to its encoder.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ from animtool.motion.frames import (
     TransformsFrame,
 )
 from animtool.usd.caches.writer import (
-    ATTRIBUTES,
-    POLYLINE,
-    Block,
+    ATTRIBUTE_KINDS,
+    POLYLINE_TOKENS,
     CachedMesh,
-    FrameForm,
-    FramePrim,
+    FrameBlock,
+    FrameEncoder,
+    FramePrimWriter,
     PointWriter,
     attribute_kind,
     attribute_labels,
@@ -52,7 +52,7 @@ from animtool.usd.layers.chunks import (
     GrowingLayer,
     LayerWriter,
     author_span,
-    growing_crate,
+    open_growing_crate,
     write_frames,
 )
 from animtool.usd.layers.finite import narrow_floats, round_to_float32
@@ -67,8 +67,8 @@ from animtool.usd.layers.sdf import (
     new_layer,
     prim_spec,
 )
-from animtool.usd.props.writer import InstancerForm, XformsForm, instance_names
-from animtool.usd.rigs.meshes import MeshForm
+from animtool.usd.props.writer import InstancerEncoder, XformsEncoder, instance_names
+from animtool.usd.rigs.meshes import MeshEncoder
 
 if TYPE_CHECKING:
     from animtool.usd.props.characters import CharactersWriter
@@ -77,9 +77,9 @@ if TYPE_CHECKING:
 FrameRows: TypeAlias = Iterable[tuple[float, Sequence[Frame]]]
 
 
-class _CurvesForm(FrameForm[CurvesFrame]):
+class _CurvesEncoder(FrameEncoder[CurvesFrame]):
     type_name = "BasisCurves"
-    sampled = ("points", "velocities", "extent")
+    sampled_names = ("points", "velocities", "extent")
 
     def topology(self, frame: CurvesFrame) -> Mapping[str, IntArray]:
         """Return the number of points per curve."""
@@ -90,15 +90,15 @@ class _CurvesForm(FrameForm[CurvesFrame]):
         return frame.tears
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: CurvesFrame
+        self, writer: FramePrimWriter, spec: Any, frame: CurvesFrame
     ) -> None:
         """Author type and width of the curves."""
-        author_values(spec, POLYLINE)
+        author_values(spec, POLYLINE_TOKENS)
         author_width(spec, frame.width / writer.unit)
 
     def values(
         self,
-        writer: FramePrim,
+        writer: FramePrimWriter,
         frame: CurvesFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
@@ -107,12 +107,16 @@ class _CurvesForm(FrameForm[CurvesFrame]):
         return {"extent": bounds(points, frame.width / writer.unit / 2)}
 
 
-class _PointsForm(FrameForm[PointsFrame]):
+class _PointsEncoder(FrameEncoder[PointsFrame]):
     type_name = "Points"
-    sampled = ("points", "velocities", "ids", "widths")
+    sampled_names = ("points", "velocities", "ids", "widths")
 
     def values(
-        self, writer: FramePrim, frame: PointsFrame, points: Float32Array, code: float
+        self,
+        writer: FramePrimWriter,
+        frame: PointsFrame,
+        points: Float32Array,
+        code: float,
     ) -> Mapping[str, npt.NDArray[Any]]:
         """Return ids, widths and bounds of the particles."""
         widths = writer.to_float32("widths", 2 * frame.radii / writer.unit, code)
@@ -120,19 +124,19 @@ class _PointsForm(FrameForm[PointsFrame]):
         return {"ids": frame.ids, "widths": widths, "extent": extent}
 
 
-FRAME_FORMS: dict[type[Frame], FrameForm[Any]] = {
-    CurvesFrame: _CurvesForm(),
-    MeshFrame: MeshForm(),
-    PointsFrame: _PointsForm(),
-    TransformsFrame: InstancerForm(),
+FRAME_ENCODERS: dict[type[Frame], FrameEncoder[Any]] = {
+    CurvesFrame: _CurvesEncoder(),
+    MeshFrame: MeshEncoder(),
+    PointsFrame: _PointsEncoder(),
+    TransformsFrame: InstancerEncoder(),
 }
-_XFORMS_FORM = XformsForm()
+_XFORMS_ENCODER = XformsEncoder()
 
 
-def frame_form(frame: Frame) -> FrameForm[Any]:
-    """Return the `FrameForm` that writes a frame."""
+def frame_encoder(frame: Frame) -> FrameEncoder[Any]:
+    """Return the `FrameEncoder` that writes a frame."""
     has_xforms = isinstance(frame, TransformsFrame) and frame.xforms
-    return _XFORMS_FORM if has_xforms else FRAME_FORMS[type(frame)]
+    return _XFORMS_ENCODER if has_xforms else FRAME_ENCODERS[type(frame)]
 
 
 class SimulatedPrim:
@@ -173,14 +177,17 @@ class SimulatedPrim:
             self._characters = CharactersWriter(report.path, self.unit, self.fps)
             self._characters.author_prototypes(layer, frame)
             return
-        form = frame_form(frame)
+        encoder = frame_encoder(frame)
         if isinstance(frame, TransformsFrame):
             report.names = frame.names
             if frame.xforms:
                 report.notices += instance_names(frame.names).notices
-        spec = prim_spec(layer, report.path, form.type_name)
-        form.author_children(spec, frame)
-        attribute_kinds, topology = form.attribute_kinds(frame), form.topology(frame)
+        spec = prim_spec(layer, report.path, encoder.type_name)
+        encoder.author_children(spec, frame)
+        attribute_kinds, topology = (
+            encoder.attribute_kinds(frame),
+            encoder.topology(frame),
+        )
         self._sampled_names = tuple(attribute_kinds)
         for name, kind in attribute_kinds.items():
             path, leaf = split_attribute(report.path, name)
@@ -189,30 +196,30 @@ class SimulatedPrim:
                 owner_spec, leaf, kind.type_name, interpolation=kind.interpolation
             )
         report.sampled = list(attribute_kinds)
-        if form.can_tear(frame):
+        if encoder.can_tear(frame):
             report.sampled += topology
             for name in topology:
-                attribute_spec(spec, name, ATTRIBUTES[name].type_name)
+                attribute_spec(spec, name, ATTRIBUTE_KINDS[name].type_name)
         else:
             author_values(spec, topology)
-        form.author_constants(self, spec, frame)
+        encoder.author_constants(self, spec, frame)
 
-    def build_block(self, prim_index: int, code: float, frame: Frame) -> Block:
+    def build_block(self, prim_index: int, code: float, frame: Frame) -> FrameBlock:
         """Convert a frame to a block of a prim; collect crowds for `finish`."""
         codes = np.array([code])
         if isinstance(frame, CharactersFrame):
             assert self._characters is not None
             self._characters.add(code, frame)
-            return Block(prim_index, codes, {}, 0)
-        form = frame_form(frame)
-        if not form.points:
-            no_points = np.zeros((0, 3), np.float32)
-            form_values = form.values(self, frame, no_points, code)
-            return Block(
-                prim_index, codes, _add_frame_axis(form_values), len(frame.points)
+            return FrameBlock(prim_index, codes, {}, 0)
+        encoder = frame_encoder(frame)
+        if not encoder.points:
+            empty_points = np.zeros((0, 3), np.float32)
+            frame_values = encoder.values(self, frame, empty_points, code)
+            return FrameBlock(
+                prim_index, codes, _add_frame_axis(frame_values), len(frame.points)
             )
-        points, error, vertex = self._round_points(form.points, frame.points, code)
-        values = {form.points: points, **form.values(self, frame, points, code)}
+        points, error, vertex = self._round_points(encoder.points, frame.points, code)
+        values = {encoder.points: points, **encoder.values(self, frame, points, code)}
         for name, array in frame.primvars.items():
             values[f"primvars:{name}"] = (
                 array.astype(np.int32)
@@ -222,9 +229,9 @@ class SimulatedPrim:
         velocities, _, _ = self._round_points("velocities", frame.velocities, code)
         values["velocities"] = velocities
         sampled_values = {name: values[name] for name in self._sampled_names}
-        if form.can_tear(frame):
-            sampled_values |= form.topology(frame)
-        return Block(
+        if encoder.can_tear(frame):
+            sampled_values |= encoder.topology(frame)
+        return FrameBlock(
             prim_index,
             codes,
             _add_frame_axis(sampled_values),
@@ -283,7 +290,7 @@ def _add_frame_axis(
 
 @dataclass(frozen=True, slots=True)
 class SimulatedJob:
-    """Settings for writing simulated prims."""
+    """Parent prim, names, units and placement of simulated prims to write."""
 
     model: str  # path of the parent prim
     names: Sequence[str]  # legal, unique names of the prims
@@ -298,7 +305,7 @@ class SimulatedJob:
 
     @property
     def paths(self) -> list[str]:
-        """Paths of the prims."""
+        """Prim paths below the parent prim, in the order of the names."""
         return [f"{self.model}/{name}" for name in self.names]
 
     def prim_writers(self) -> list[SimulatedPrim]:
@@ -320,15 +327,15 @@ def new_simulated_layer(job: SimulatedJob, output: Path) -> Any:
 
 
 def write_simulated(
-    job: SimulatedJob, rows: FrameRows, growing: GrowingLayer
+    job: SimulatedJob, rows: FrameRows, growing_layer: GrowingLayer
 ) -> list[CachedMesh]:
     """Write prims to a layer frame by frame; return a report per prim."""
-    prims, layer = job.prim_writers(), growing.layer
+    prims, layer = job.prim_writers(), growing_layer.layer
     reports = [prim_writer.report for prim_writer in prims]
     writer = LayerWriter(
-        [PointWriter(layer, report, every_frame=True) for report in reports]
+        [PointWriter(layer, report, writes_every_frame=True) for report in reports]
     )
-    write_frames(_write_blocks(job, prims, rows, layer, growing), writer, reports)
+    write_frames(_write_blocks(job, prims, rows, layer, growing_layer), writer, reports)
     for prim_writer in prims:
         prim_writer.finish(layer)
     return reports
@@ -355,27 +362,27 @@ def write_simulated_chunks(
     reports = [writer.report for writer in prims]
 
     @contextmanager
-    def chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
+    def open_chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
         with (
             replacement_path(path) as temporary,
-            growing_crate(temporary, path) as growing,
+            open_growing_crate(temporary, path) as chunk_layer,
         ):
-            _declare_attributes(growing.layer, reports, layer)
+            _declare_attributes(chunk_layer.layer, reports, layer)
             yield [
                 PointWriter(
-                    growing.layer,
+                    chunk_layer.layer,
                     report,
-                    every_frame=True,
+                    writes_every_frame=True,
                     with_default=number == 0,
-                    on_added=growing.count_bytes,
+                    on_added=chunk_layer.count_bytes,
                 )
                 for report in reports
             ]
-            author_span(growing.layer, job.metadata)
+            author_span(chunk_layer.layer, job.metadata)
 
-    with ChunkedWriter(files, chunk_size, len(prims), chunk) as chunks:
+    with ChunkedWriter(files, chunk_size, len(prims), open_chunk) as chunks:
         write_frames(_write_blocks(job, prims, rows, layer), chunks, reports)
-    chunks.join(
+    chunks.author_value_clips(
         layer,
         job.model,
         job.metadata,
@@ -391,7 +398,7 @@ def _write_blocks(
     rows: FrameRows,
     layer: Any,
     byte_counter: GrowingLayer | None = None,
-) -> Iterator[Block]:
+) -> Iterator[FrameBlock]:
     """Yield blocks of frames; create the prims at the first frame.
 
     Prims are rotated to the layer's up axis, or get the placement of a rig.
@@ -444,8 +451,8 @@ def _author_placement(
 def _declare_attributes(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
     """Declare the sampled attributes with the types they have in a source layer."""
     for report in reports:
-        prim_spec(layer, report.path, over=True)
+        prim_spec(layer, report.path, is_over=True)
         for name in report.sampled:
             path, leaf = split_attribute(report.path, name)
             kind = source.GetPrimAtPath(path).attributes[leaf].typeName
-            attribute_spec(prim_spec(layer, path, over=True), leaf, kind)
+            attribute_spec(prim_spec(layer, path, is_over=True), leaf, kind)

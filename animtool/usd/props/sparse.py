@@ -95,21 +95,23 @@ def select_samples(
         for length in sub_spans:
             is_candidate &= valid_spans[length][start : start + len(is_candidate)]
             start += length
-        candidates = np.flatnonzero(is_candidate)
+        candidate_frames = np.flatnonzero(is_candidate)
         valid_spans[span] = np.zeros(count, np.bool_)
-        if len(candidates):
+        if len(candidate_frames):
             is_valid, span_offsets = chain.find_valid_spans(
-                exact_rotations, is_planted, candidates, span
+                exact_rotations, is_planted, candidate_frames, span
             )
-            valid_spans[span][candidates] = is_valid
-            checked_spans[span] = candidates, span_offsets
+            valid_spans[span][candidate_frames] = is_valid
+            checked_spans[span] = candidate_frames, span_offsets
     is_selected = _shortest_path(valid_spans)
-    keys = np.flatnonzero(is_selected)
-    for begin, span in zip(keys.tolist(), np.diff(keys).tolist(), strict=False):
+    key_frames = np.flatnonzero(is_selected)
+    for begin, span in zip(
+        key_frames.tolist(), np.diff(key_frames).tolist(), strict=False
+    ):
         if span > 1:
-            candidates, span_offsets = checked_spans[span]
-            row = int(np.searchsorted(candidates, begin))
-            offsets[begin + 1 : begin + span] = span_offsets[row]
+            candidate_frames, span_offsets = checked_spans[span]
+            candidate_index = int(np.searchsorted(candidate_frames, begin))
+            offsets[begin + 1 : begin + span] = span_offsets[candidate_index]
     return is_selected, offsets
 
 

@@ -23,10 +23,10 @@ from animtool.motion.frames import MeshFrame, TransformsFrame
 from animtool.motion.motion import Motion
 from animtool.motion.transforms import Track, Transforms
 from animtool.usd.caches.writer import (
-    ATTRIBUTES,
+    ATTRIBUTE_KINDS,
     AttributeKind,
-    FrameForm,
-    FramePrim,
+    FrameEncoder,
+    FramePrimWriter,
     author_values,
     bounds,
     bounds_corners,
@@ -131,7 +131,7 @@ def author_props(
         is_existing = placements.has_prim(path)
         type_name = "" if is_existing else track.type_name
         spec = prim_spec(
-            layer, placements.layer_path(path), type_name, over=is_existing
+            layer, placements.layer_path(path), type_name, is_over=is_existing
         )
         if track.reference is not None:
             name = asset_path(Path(track.reference.file), output.parent)
@@ -233,14 +233,17 @@ def _author_track(
 
 # Operations of an animated Xform.
 _XFORM_OPS = ("xformOp:translate", "xformOp:orient")
-PROTOTYPES, PHYSICS = "Prototypes", "Physics"  # child prims that are not instances
+PROTOTYPES_NAME, PHYSICS_NAME = (
+    "Prototypes",
+    "Physics",
+)  # child prims that are not instances
 
 
-class InstancerForm(FrameForm[TransformsFrame]):
+class InstancerEncoder(FrameEncoder[TransformsFrame]):
     """Instances written as a PointInstancer."""
 
     type_name = "PointInstancer"
-    sampled = (
+    sampled_names = (
         "positions",
         "velocities",
         "ids",
@@ -252,7 +255,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
     points = "positions"
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+        self, writer: FramePrimWriter, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write the prototype meshes below the prim."""
         author_relationship(
@@ -261,7 +264,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: FramePrim,
+        writer: FramePrimWriter,
         frame: TransformsFrame,
         points: Float32Array,
         code: float,
@@ -285,7 +288,7 @@ class InstancerForm(FrameForm[TransformsFrame]):
         }
 
 
-class XformsForm(FrameForm[TransformsFrame]):
+class XformsEncoder(FrameEncoder[TransformsFrame]):
     """Named instances: an Xform each, whose mesh references a prototype."""
 
     type_name = "Xform"
@@ -294,7 +297,7 @@ class XformsForm(FrameForm[TransformsFrame]):
     def attribute_kinds(self, frame: TransformsFrame) -> dict[str, AttributeKind]:
         """Return the transform ops of the animated instances."""
         return {
-            f"{instance_name}.{name}": ATTRIBUTES[name]
+            f"{instance_name}.{name}": ATTRIBUTE_KINDS[name]
             for i, instance_name in enumerate(instance_names(frame.names).names)
             if i not in frame.static
             for name in _XFORM_OPS
@@ -306,14 +309,16 @@ class XformsForm(FrameForm[TransformsFrame]):
             prim_spec(spec.layer, f"{spec.path}/{name}", "Xform")
 
     def author_constants(
-        self, writer: FramePrim, spec: Any, frame: TransformsFrame
+        self, writer: FramePrimWriter, spec: Any, frame: TransformsFrame
     ) -> None:
         """Write meshes, xformOpOrder, and transforms of static instances.
 
         The prototypes are class prims, so that they are not drawn.
         """
         layer, paths = spec.layer, _write_prototypes(writer, spec, frame.meshes)
-        layer.GetPrimAtPath(f"{spec.path}/{PROTOTYPES}").specifier = Sdf.SpecifierClass
+        layer.GetPrimAtPath(
+            f"{spec.path}/{PROTOTYPES_NAME}"
+        ).specifier = Sdf.SpecifierClass
         for i, name in enumerate(writer.child_names):
             instance = layer.GetPrimAtPath(f"{spec.path}/{name}")
             names = list(_XFORM_OPS)
@@ -338,7 +343,7 @@ class XformsForm(FrameForm[TransformsFrame]):
 
     def values(
         self,
-        writer: FramePrim,
+        writer: FramePrimWriter,
         frame: TransformsFrame,
         points: Float32Array,  # noqa: ARG002
         code: float,  # noqa: ARG002
@@ -367,7 +372,7 @@ def instance_names(names: Sequence[str]) -> UsdNames:
     >>> instance_names(["brick[3]", "brick_3"]).names
     ['brick_3', 'brick_3_2']
     """
-    all_names = [PROTOTYPES, PHYSICS, *names]
+    all_names = [PROTOTYPES_NAME, PHYSICS_NAME, *names]
     unique_names = distinct_names(
         all_names, [name.removesuffix("]") for name in all_names], all_names
     )
@@ -375,10 +380,10 @@ def instance_names(names: Sequence[str]) -> UsdNames:
 
 
 def _write_prototypes(
-    writer: FramePrim, spec: Any, meshes: Sequence[MeshFrame]
+    writer: FramePrimWriter, spec: Any, meshes: Sequence[MeshFrame]
 ) -> list[str]:
     """Write prototype meshes below a prim; return their paths."""
-    scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES}", "Scope")
+    scope = prim_spec(spec.layer, f"{spec.path}/{PROTOTYPES_NAME}", "Scope")
     paths = [f"{scope.path}/mesh_{i + 1}" for i in range(len(meshes))]
     for path, mesh in zip(paths, meshes, strict=True):
         writer.write_static(spec.layer, path, mesh)

@@ -63,8 +63,8 @@ class RigJointMap:
         mapped_scales = None
         if scales is not None or (self.rest_scales != 1.0).any():
             if scales is None:
-                no_values = np.zeros((motion.frames, 0, 3))
-                mapped_scales = Channel(self.rest_scales, _NO_JOINTS, no_values)
+                empty_values = np.zeros((motion.frames, 0, 3))
+                mapped_scales = Channel(self.rest_scales, _NO_JOINTS, empty_values)
             else:
                 mapped_scales = self._map_channel(scales, self.rest_scales)
         return Motion(
@@ -109,7 +109,7 @@ def map_joints(
     ``converted_take`` converts the take to the rig's space; None if it is in that
     space already.
     """
-    skeleton, where = target.skeleton, str(target.path)
+    skeleton, location = target.skeleton, str(target.path)
     source_joints = _match_joints(take, target, strip_namespaces)
     unmatched_notices = _unmatched_notices(take, target, source_joints)
     shapes, shape_notices = match_shapes(
@@ -125,7 +125,7 @@ def map_joints(
             at_origin(take),
             rig,
             source_joints,
-            where,
+            location,
             is_forced=force_fit,
             unmatched_faults=unmatched_notices,
         )
@@ -173,7 +173,7 @@ def _unmatched_notices(
     take: Rig, target: RigTarget, source_joints: IntArray
 ) -> list[Fault]:
     """Return notices about joints that the take or the target lacks."""
-    used_joints, where = set(source_joints.tolist()), str(target.path)
+    used_joints, location = set(source_joints.tolist()), str(target.path)
     missing_names = [
         joint.name for i, joint in enumerate(take.joints) if i not in used_joints
     ]
@@ -182,11 +182,13 @@ def _unmatched_notices(
     names = target.skeleton.rig.names
     unmapped_names = [names[j] for j in np.flatnonzero(source_joints < 0).tolist()]
     message = f"{len(missing_names)} joints of the take are not in the rig: "
-    notices = _names_notice("USD102", message, missing_names, where, "they are skipped")
+    notices = _names_notice(
+        "USD102", message, missing_names, location, "they are skipped"
+    )
     message = f"{len(unmapped_names)} joints of the rig are not in the take: "
     hint = "they stay at rest"
     return notices + _names_notice(
-        "USD111", message, unmapped_names, where, hint, Severity.NOTE
+        "USD111", message, unmapped_names, location, hint, Severity.NOTE
     )
 
 
@@ -212,7 +214,8 @@ def _check_shapes(take: Rig, target: RigTarget) -> None:
     if names and has_common_shape and not (take.joints and rig.joints):
         return
     take_joint, rig_joint = (
-        f"{excerpt(rig_.names[0])} …" if rig_.joints else "none" for rig_ in (take, rig)
+        f"{excerpt(each_rig.names[0])} …" if each_rig.joints else "none"
+        for each_rig in (take, rig)
     )
     message = f"no joint of the take ({take_joint}) is in the rig ({rig_joint})"
     hint = (
@@ -251,35 +254,35 @@ def match_shapes(
     if target_shapes is None:
         return tuple(shapes), []
     names_by_arkit_name = {arkit_name(name): name for name in target_shapes}
-    matches = [
+    matched_names = [
         name
         if name in target_shapes
         else names_by_arkit_name.get(arkit_name(name) or "", name)
         for name in shapes
     ]
     # If two shapes match one name, the second keeps its own name.
-    matches = [
-        name if name not in matches[:i] else shape_name
-        for i, (shape_name, name) in enumerate(zip(shapes, matches, strict=True))
+    matched_names = [
+        name if name not in matched_names[:i] else shape_name
+        for i, (shape_name, name) in enumerate(zip(shapes, matched_names, strict=True))
     ]
-    where = str(target.path)
+    location = str(target.path)
     original_names = usd_names or {}
     unknown_names = [
         name
-        for name in matches
+        for name in matched_names
         if name not in target_shapes and original_names.get(name) not in target_shapes
     ]
     message = f"{len(unknown_names)} shapes of the take are on no mesh of the rig: "
     hint = "their weights have no effect there"
-    notices = _names_notice("USD114", message, unknown_names, where, hint)
+    notices = _names_notice("USD114", message, unknown_names, location, hint)
     respelled_names = [
-        f"{a} as {b}" for a, b in zip(shapes, matches, strict=True) if a != b
+        f"{a} as {b}" for a, b in zip(shapes, matched_names, strict=True) if a != b
     ]
     message = f"{len(respelled_names)} shapes are written with the rig's spelling: "
     notices += _names_notice(
-        "USD118", message, respelled_names, where, None, Severity.NOTE
+        "USD118", message, respelled_names, location, None, Severity.NOTE
     )
-    return tuple(matches), notices
+    return tuple(matched_names), notices
 
 
 def _rig_shapes(target: RigTarget) -> set[str] | None:

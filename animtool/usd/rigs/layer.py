@@ -52,7 +52,7 @@ def author_physics(layer: Any, model: str, rig: Rig, names: Sequence[str]) -> in
         {*movable_joints, *(rig.joints[i].parent for i in movable_joints)} - {-1}
     )
     scope = f"{model}/Physics"
-    prim_spec(layer, model, over=True)
+    prim_spec(layer, model, is_over=True)
     for path in (scope, f"{scope}/Bodies", f"{scope}/Joints"):
         prim_spec(layer, path, "Scope")
     world = rest_world(rig)
@@ -97,7 +97,7 @@ def _author_joint(
     attribute_spec(spec, "physics:localRot0", _TYPES.Quatf, gf_quatf(parent_frame))
     attribute_spec(spec, "physics:localRot1", _TYPES.Quatf, gf_quatf(frame))
     if axis:
-        attribute_spec(spec, "physics:axis", _TYPES.Token, axis, uniform=True)
+        attribute_spec(spec, "physics:axis", _TYPES.Token, axis, is_uniform=True)
     if isinstance(joint.limits, RangeLimit):
         is_pin = joint.type is JointType.PIN
         scale = math.degrees(1.0) if is_pin else 1.0 / meters_per_unit

@@ -30,18 +30,18 @@ from animtool.usd.caches.reader import PointReader, transform_points
 from animtool.usd.layers.faults import PrimLocation, bind_faults
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
-from animtool.usd.rigs.meshes import SUBDIVISION
-from animtool.usd.rigs.placement import DROP, local_placement
+from animtool.usd.rigs.meshes import SUBDIVISION_TOKENS
+from animtool.usd.rigs.placement import DROP_PLACEMENT, local_placement
 from animtool.usd.rigs.prims import (
     SkeletonRig,
     array_value,
     find_skeletons,
     integer_array,
     number_rows,
-    numbers_of,
     open_stage,
     search_root,
     skeleton_rig,
+    value_rows,
 )
 from animtool.usd.rigs.rest_pose import collapsed_bone_faults
 from animtool.usd.rigs.skinned import (
@@ -59,7 +59,7 @@ _SKIN_METHODS = {"classicLinear": "linear", "dualQuaternion": "dual_quaternion"}
 
 
 def read_meshes(
-    skeleton: Any, rig: SkeletonRig, where: str
+    skeleton: Any, rig: SkeletonRig, file_path: str
 ) -> tuple[tuple[Mesh, ...], tuple[Shape, ...], list[Fault]]:
     """Return meshes, blend shapes, and notices about skipped data.
 
@@ -69,14 +69,14 @@ def read_meshes(
     """
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
-    notices = unbound_notice(skeleton, where)
+    notices = unbound_notice(skeleton, file_path)
     for name, query in bound_meshes(skeleton):
-        location = PrimLocation.from_prim(where, query.GetPrim())
+        location = PrimLocation.from_prim(file_path, query.GetPrim())
         bind = _geom_bind(query, skeleton, location)
         meshes.append(_read_mesh(query, name, rig, location, bind, notices))
         point_count = len(meshes[-1].points.load())
         known_shapes = {shape.name for shape in shapes}
-        shapes += _read_shapes(query, name, point_count, where, known_shapes)
+        shapes += _read_shapes(query, name, point_count, file_path, known_shapes)
     return tuple(meshes), tuple(shapes), notices
 
 
@@ -130,7 +130,7 @@ def _read_mesh(
 ) -> Mesh:
     prim = query.GetPrim()
     mesh = UsdGeom.Mesh(prim)
-    points = read_float_rows(PointReader(prim).attr, location, "USD265")
+    points = read_float_rows(PointReader(prim).points_attr, location, "USD265")
     if not len(points):
         location.fail("USD017", "the mesh has no points")
     normals = None
@@ -159,7 +159,7 @@ def _read_mesh(
 def _read_subdivision(mesh: Any, has_normals: bool) -> Subdivision | None:
     """Return the subdivision scheme; None for the default one."""
     scheme = str(mesh.GetSubdivisionSchemeAttr().Get())
-    subdivision = {name: rule for rule, name in SUBDIVISION.items()}.get(scheme)
+    subdivision = {name: rule for rule, name in SUBDIVISION_TOKENS.items()}.get(scheme)
     default = Subdivision.NONE if has_normals else Subdivision.CATMULL_CLARK
     return None if subdivision is default else subdivision
 
@@ -191,7 +191,7 @@ def _read_skin(
     query: Any, point_count: int, rig: SkeletonRig, location: PrimLocation
 ) -> Skin:
     indices, weights = (
-        numbers_of(primvar.ComputeFlattened(), 1)[:, 0]
+        value_rows(primvar.ComputeFlattened(), 1)[:, 0]
         for primvar in (query.GetJointIndicesPrimvar(), query.GetJointWeightsPrimvar())
     )
     influence_count = query.GetNumInfluencesPerComponent()
@@ -220,7 +220,7 @@ def _read_skin(
 
 
 def _read_shapes(
-    query: Any, mesh: str, point_count: int, where: str, known_shapes: set[str]
+    query: Any, mesh: str, point_count: int, file_path: str, known_shapes: set[str]
 ) -> list[Shape]:
     """Return the blend shapes of a mesh.
 
@@ -233,25 +233,27 @@ def _read_shapes(
     targets = query.GetBlendShapeTargetsRel().GetTargets()
     if len(tokens) != len(targets):
         message = f"{len(tokens)} blendShapes for {len(targets)} targets"
-        PrimLocation.from_prim(where, query.GetPrim()).fail("USD245", message)
+        PrimLocation.from_prim(file_path, query.GetPrim()).fail("USD245", message)
     stage = query.GetPrim().GetStage()
     for target in targets:
         if not stage.GetPrimAtPath(target):
             message = f"a blendShapeTarget, {target}, does not exist"
-            PrimLocation.from_prim(where, query.GetPrim()).fail("USD208", message)
+            PrimLocation.from_prim(file_path, query.GetPrim()).fail("USD208", message)
     shapes = []
     for token, target in zip(tokens, targets, strict=True):
         prim, is_shared = stage.GetPrimAtPath(target), token in known_shapes
         name = f"{mesh}_{token}" if is_shared else token
-        shape = _read_shape(UsdSkel.BlendShape(prim), name, mesh, point_count, where)
+        shape = _read_shape(
+            UsdSkel.BlendShape(prim), name, mesh, point_count, file_path
+        )
         shapes.append(replace(shape, combine=(token,)) if is_shared else shape)
     return shapes
 
 
 def _read_shape(
-    shape: Any, name: str, mesh: str, point_count: int, where: str
+    shape: Any, name: str, mesh: str, point_count: int, file_path: str
 ) -> Shape:
-    location = PrimLocation.from_prim(where, shape)
+    location = PrimLocation.from_prim(file_path, shape)
     deltas = read_float_rows(shape.GetOffsetsAttr(), location, "USD243")
     vertices = integer_array(shape.GetPointIndicesAttr())
     row_count = len(vertices) or point_count
@@ -303,24 +305,26 @@ def _read_shape(
     )
 
 
-def read_strands(skeleton: Any, rig: SkeletonRig, where: str) -> tuple[Attachment, ...]:
+def read_strands(
+    skeleton: Any, rig: SkeletonRig, file_path: str
+) -> tuple[Attachment, ...]:
     """Return linear curves bound to one joint each, as strands.
 
     Curves of other types or with different lengths, and curves bound to several joints,
     are skipped. Points are in the unit of the rig.
     """
-    return tuple(entry for entry, _ in bound_strands(skeleton, rig, where))
+    return tuple(entry for entry, _ in bound_strands(skeleton, rig, file_path))
 
 
 def bound_strands(
-    skeleton: Any, rig: SkeletonRig, where: str
+    skeleton: Any, rig: SkeletonRig, file_path: str
 ) -> list[tuple[Attachment, Any]]:
     """Return the strands of `read_strands`, each with its prim."""
     strands: list[tuple[Attachment, Any]] = []
     used_names: set[str] = set()
     for query in skinned_prims(skeleton, UsdGeom.BasisCurves):
         prim = query.GetPrim()
-        location = PrimLocation.from_prim(where, prim)
+        location = PrimLocation.from_prim(file_path, prim)
         joint = _rigid_joint(query, rig, location)
         points = _strand_points(UsdGeom.BasisCurves(prim), query, location)
         if joint is not None and points is not None:
@@ -356,7 +360,9 @@ def _strand_points(
     counts = integer_array(curves.GetCurveVertexCountsAttr())
     if curves.GetTypeAttr().Get() != UsdGeom.Tokens.linear or not len(counts):
         return None
-    values = read_float_rows(PointReader(curves.GetPrim()).attr, location, "USD265")
+    values = read_float_rows(
+        PointReader(curves.GetPrim()).points_attr, location, "USD265"
+    )
     if counts.min() < 2 or (counts != counts[0]).any() or counts.sum() != len(values):
         return None
     matrix = np.array(query.GetGeomBindTransform(), np.float64)
@@ -393,7 +399,7 @@ def read_source_meshes(
         rig = skeleton_rig(skeletons[0], path)
         rig_placement = local_placement(skeletons[0].GetPrim(), rig.rig)
         rest_placement = rig_placement.rest_placement
-        if placement == DROP:
+        if placement == DROP_PLACEMENT:
             rest_placement = rig_placement.upright_placement
         meshes = _stage_meshes(skeletons[0], rig, path, rest_placement)
         unskinned_notices = animated_mesh_notice(skeletons[0], str(path), placement)
@@ -423,7 +429,7 @@ def _stage_meshes(
     if not meshes and not strands:
         return StageMeshes((), (), np.zeros((0, 4, 4)), rig.up, notices)
     location = PrimLocation.from_prim(path, skeleton)
-    location.refuse(bind_faults(skeleton, skeleton_rig.tokens, is_skinned=True))
+    location.raise_errors(bind_faults(skeleton, skeleton_rig.tokens, is_skinned=True))
     warnings = collapsed_bone_faults(skeleton, skeleton_rig.tokens)
     notices += [replace(fault, path=str(path)) for fault in warnings]
     attr = skeleton.GetBindTransformsAttr()

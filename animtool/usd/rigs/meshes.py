@@ -21,7 +21,12 @@ from animtool.rig.parts import Subdivision
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceShape, SurfaceSkin
 from animtool.skin.influences import InfluenceReport, Influences, read_influences
-from animtool.usd.caches.writer import FrameForm, FramePrim, author_values, bounds
+from animtool.usd.caches.writer import (
+    FrameEncoder,
+    FramePrimWriter,
+    author_values,
+    bounds,
+)
 from animtool.usd.layers.finite import ValueLabels, check_value, narrow_floats
 from animtool.usd.layers.names import RigPaths, distinct_names
 from animtool.usd.layers.sdf import (
@@ -38,14 +43,14 @@ from animtool.usd.rigs.skeleton import STRANDS_SCOPE, author_influences
 MAX_INDEXED_FRACTION = 0.75
 
 # Linear colors of meshes in order, and of bones.
-COLORS = (
+MESH_COLORS = (
     (0.42, 0.45, 0.49),
     (0.49, 0.36, 0.27),
     (0.31, 0.42, 0.36),
     (0.43, 0.35, 0.46),
 )
 BONE_COLOR = (0.75, 0.72, 0.65)
-SUBDIVISION = {
+SUBDIVISION_TOKENS = {
     Subdivision.NONE: "none",
     Subdivision.CATMULL_CLARK: "catmullClark",
     Subdivision.LOOP: "loop",
@@ -68,11 +73,11 @@ def author_mesh(
         author_values(spec, {"doubleSided": True})
 
 
-class MeshForm(FrameForm[MeshFrame]):
+class MeshEncoder(FrameEncoder[MeshFrame]):
     """An animated mesh with normals and changing topology."""
 
     type_name = "Mesh"
-    sampled = ("points", "velocities", "extent", "normals")
+    sampled_names = ("points", "velocities", "extent", "normals")
 
     def topology(self, frame: MeshFrame) -> Mapping[str, IntArray]:
         """Return the topology attributes."""
@@ -85,13 +90,18 @@ class MeshForm(FrameForm[MeshFrame]):
         """Return whether the topology may change."""
         return frame.tears
 
-    def author_constants(self, writer: FramePrim, spec: Any, frame: MeshFrame) -> None:  # noqa: ARG002
+    def author_constants(
+        self,
+        writer: FramePrimWriter,  # noqa: ARG002
+        spec: Any,
+        frame: MeshFrame,
+    ) -> None:
         """Author subdivision scheme and sidedness."""
         author_mesh(spec, {}, is_closed=frame.closed)
 
     def values(
         self,
-        writer: FramePrim,
+        writer: FramePrimWriter,
         frame: MeshFrame,
         points: Float32Array,
         code: float,  # noqa: ARG002
@@ -142,7 +152,7 @@ def author_meshes(
     mesh_paths, original_names = mesh_names(surfaces, paths)
     for i, (path, surface) in enumerate(zip(mesh_paths, surfaces, strict=True)):
         spec = _author_mesh_prim(layer, path, surface, meters_per_unit)
-        _author_color(spec, COLORS[i % len(COLORS)])
+        _author_color(spec, MESH_COLORS[i % len(MESH_COLORS)])
         if path in original_names:
             spec.SetInfo("customData", {"animtool": {"name": original_names[path]}})
         if surface.skin is None and (surface.geom_bind != np.eye(4)).any():
@@ -177,7 +187,7 @@ def _author_mesh_prim(
     author_mesh(
         spec,
         values,
-        subdivision=SUBDIVISION[surface.subdivision],
+        subdivision=SUBDIVISION_TOKENS[surface.subdivision],
         is_closed=is_closed(surface.counts, surface.indices),
     )
     return spec
@@ -201,8 +211,8 @@ def _stage_matrix(transform: FloatArray, meters_per_unit: float) -> Any:
     return Gf.Matrix4d(*rows.ravel().tolist())
 
 
-def _to_float32(values: FloatArray, where: str) -> Float32Array:
-    labels = ValueLabels(where, "point")
+def _to_float32(values: FloatArray, label: str) -> Float32Array:
+    labels = ValueLabels(label, "point")
     return np.ascontiguousarray(narrow_floats(values, "f", labels))
 
 
@@ -217,7 +227,7 @@ def _author_skin(
     indices, weights = _pad_influences(influences)
     if skin.joints != tuple(tokens):
         joints = Vt.TokenArray([tokens[name] for name in skin.joints])
-        attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, uniform=True)
+        attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joints, is_uniform=True)
     if (surface.geom_bind != np.eye(4)).any():
         bind = _stage_matrix(surface.geom_bind, meters_per_unit)
         attribute_spec(spec, "primvars:skel:geomBindTransform", _TYPES.Matrix4d, bind)
@@ -225,7 +235,7 @@ def _author_skin(
     method = _SKIN_METHODS[skin.method]
     if method != "classicLinear":
         name = "primvars:skel:skinningMethod"
-        attribute_spec(spec, name, _TYPES.Token, method, uniform=True)
+        attribute_spec(spec, name, _TYPES.Token, method, is_uniform=True)
     return _influence_notices(surface.name, report)
 
 
@@ -261,7 +271,7 @@ def _author_shapes(
         "skel:blendShapes",
         _TYPES.TokenArray,
         Vt.TokenArray(shape_names),
-        uniform=True,
+        is_uniform=True,
     )
     author_relationship(spec, "skel:blendShapeTargets", *targets)
     for target, shape in zip(targets, surface.shapes, strict=True):
@@ -280,23 +290,23 @@ def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> Non
         ],
         axis=0,
     )
-    vertices, selected_rows = shape.vertices, slice(None)
-    if vertices is None and is_displaced.mean() < MAX_INDEXED_FRACTION:
-        vertices = np.flatnonzero(is_displaced)
+    vertex_indices, selected_rows = shape.vertices, slice(None)
+    if vertex_indices is None and is_displaced.mean() < MAX_INDEXED_FRACTION:
+        vertex_indices = np.flatnonzero(is_displaced)
         selected_rows = is_displaced
 
     def author_rows(name: str, rows: FloatArray) -> Any:
         """Author the selected rows of an array, and return the attribute."""
         values = _to_float32(rows[selected_rows], f"{spec.path}.{name}")
         array = Vt.Vec3fArray.FromNumpy(values)
-        return attribute_spec(spec, name, _TYPES.Vector3fArray, array, uniform=True)
+        return attribute_spec(spec, name, _TYPES.Vector3fArray, array, is_uniform=True)
 
     author_rows("offsets", shape.deltas / meters_per_unit)
     if shape.normals is not None:
         author_rows("normalOffsets", shape.normals)
-    if vertices is not None:
-        points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertices, np.int32))
-        attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, uniform=True)
+    if vertex_indices is not None:
+        points = Vt.IntArray.FromNumpy(np.ascontiguousarray(vertex_indices, np.int32))
+        attribute_spec(spec, "pointIndices", _TYPES.IntArray, points, is_uniform=True)
     for i, inbetween in enumerate(inbetweens):
         name = f"inbetweens:step_{i + 1}"
         attr = author_rows(name, inbetween.deltas / meters_per_unit)

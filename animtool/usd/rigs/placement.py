@@ -30,17 +30,17 @@ from animtool.usd.rigs.prims import decompose, sample_times, self_and_ancestors,
 
 # Tolerance of scale factors, and of cosines between axes, in float32.
 SCALE_TOLERANCE = 1e-5
-KEEP, DROP = "keep", "drop"
+KEEP_PLACEMENT, DROP_PLACEMENT = "keep", "drop"
 
 
 @dataclass(frozen=True, slots=True)
 class SkeletonPlacement:
     """Placement of a Skeleton over the frames of a take."""
 
-    full: Placement  # all transforms above its joints
+    full_placement: Placement  # all transforms above its joints
     # Transforms above its joints without root motion of the SkelRoot: those that a
     # layer over the rig keeps.
-    fixed: Placement
+    fixed_placement: Placement
     # Why joints cannot represent the transform; empty if they can.
     unsupported_reason: str = ""
     # Mismatch between the unit or up axis of rig and stage that no transform converts;
@@ -68,12 +68,14 @@ class SkeletonPlacement:
     @property
     def motion(self) -> Placement:
         """Placement per frame relative to `heading_placement`."""
-        heading, _ = self.fixed.split(self._up)
-        return heading.inverse().after(self.full).simplified()
+        heading, _ = self.fixed_placement.split(self._up)
+        return heading.inverse().after(self.full_placement).simplified()
 
     def _split_rest(self) -> tuple[Placement, Placement]:
-        first_full = self.full.first()
-        return self.fixed.first().split(self._up)[0], first_full.split(self._up)[1]
+        first_placement = self.full_placement.first()
+        return self.fixed_placement.first().split(self._up)[0], first_placement.split(
+            self._up
+        )[1]
 
 
 def animated_ancestors(skeleton: Any) -> list[Any]:
@@ -113,8 +115,8 @@ def skeleton_placement(
     if is_animated:
         layer_matrices = _without_root_motion(skeleton, time_codes, all_matrices)
     if not np.isfinite(all_matrices).all() or not np.isfinite(layer_matrices).all():
-        where = PrimLocation("", str(skeleton.GetPath()))
-        where.fail("USD171", "the Skeleton's transform is not finite")
+        location = PrimLocation("", str(skeleton.GetPath()))
+        location.fail("USD171", "the Skeleton's transform is not finite")
     stage_units = _StageUnits.from_skeleton(skeleton, rig, all_matrices[0])
     fixed_placement = stage_units.placement(layer_matrices)
     # A single frame cannot show whether the placement is animated.
@@ -266,13 +268,13 @@ def _find_unsupported_reason(matrices: FloatArray) -> str:
     linear = matrices[:, :3, :3]
     lengths = np.linalg.norm(linear, axis=-1)
     is_mirrored = np.linalg.det(linear) <= 0.0
-    is_uneven = np.ptp(lengths, axis=-1) > SCALE_TOLERANCE * lengths.max(axis=-1)
+    is_nonuniform = np.ptp(lengths, axis=-1) > SCALE_TOLERANCE * lengths.max(axis=-1)
     unit_axes = linear / np.where(lengths > 0.0, lengths, 1.0)[..., None]
     shear_cosines = np.abs(unit_axes @ unit_axes.swapaxes(-1, -2) - np.eye(3)).max(
         axis=(-1, -2)
     )
     is_sheared = shear_cosines > SCALE_TOLERANCE
-    is_unsupported = is_mirrored | is_uneven | is_sheared
+    is_unsupported = is_mirrored | is_nonuniform | is_sheared
     if not is_unsupported.any():
         return ""
     i = int(is_unsupported.argmax())
@@ -286,7 +288,7 @@ def _find_unsupported_reason(matrices: FloatArray) -> str:
     return " and ".join(texts)
 
 
-def refuse_unsupported(placement: SkeletonPlacement, where: PrimLocation) -> None:
+def refuse_unsupported(placement: SkeletonPlacement, location: PrimLocation) -> None:
     """Refuse a placement that joints cannot represent (USD035)."""
     if not placement.unsupported_reason:
         return
@@ -294,11 +296,11 @@ def refuse_unsupported(placement: SkeletonPlacement, where: PrimLocation) -> Non
         f"the character {placement.unsupported_reason}, which joints cannot represent"
     )
     hint = f"scale it uniformly, or drop its placement: {argument('placement', 'drop')}"
-    raise FormatError(where.fault("USD035", message, hint))
+    raise FormatError(location.fault("USD035", message, hint))
 
 
 def unsupported_notice(
-    placement: SkeletonPlacement, where: PrimLocation
+    placement: SkeletonPlacement, location: PrimLocation
 ) -> list[Fault]:
     """Return a warning about a transform that joints cannot represent (USD109)."""
     if not placement.unsupported_reason:
@@ -308,10 +310,10 @@ def unsupported_notice(
         "the transform is ignored"
     )
     hint = "scale it uniformly where it is placed"
-    return [where.fault("USD109", message, hint, Severity.WARNING)]
+    return [location.fault("USD109", message, hint, Severity.WARNING)]
 
 
-def unit_mismatch_notice(placement: SkeletonPlacement, where: str) -> list[Fault]:
+def unit_mismatch_notice(placement: SkeletonPlacement, file_path: str) -> list[Fault]:
     """Return a notice if rig and stage units or up axes differ (USD110)."""
     if not placement.unit_mismatch:
         return []
@@ -320,7 +322,7 @@ def unit_mismatch_notice(placement: SkeletonPlacement, where: str) -> list[Fault
         "them: using the rig's"
     )
     hint = "the shot's own transform must match them"
-    return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
+    return [Fault("USD110", message, file_path, (), hint, Severity.NOTE)]
 
 
 NO_PLACEMENT = SkeletonPlacement(
@@ -328,14 +330,16 @@ NO_PLACEMENT = SkeletonPlacement(
 )
 
 
-def rest_rig(rig: Rig, placement: SkeletonPlacement, choice: str | None = None) -> Rig:
+def rig_at_stage_placement(
+    rig: Rig, placement: SkeletonPlacement, placement_choice: str | None = None
+) -> Rig:
     """Return a rig whose rest pose is at its stage placement.
 
-    With ``drop`` as ``choice`` the rig is only scaled and upright; None keeps its
-    position and heading.
+    With ``drop`` as ``placement_choice`` the rig is only scaled and upright; None keeps
+    its position and heading.
     """
     sized_rig = transform_rig(rig, placement.upright_placement)
-    if choice == DROP:
+    if placement_choice == DROP_PLACEMENT:
         return sized_rig
     heading_placement = placement.heading_placement
     rig_at_rest = transform_rig(rig, placement.rest_placement)

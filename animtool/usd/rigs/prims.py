@@ -33,7 +33,7 @@ from animtool.usd.layers.faults import (
     joint_parents,
     unit_and_axis_faults,
 )
-from animtool.usd.layers.sdf import check_prim_path, find_layer
+from animtool.usd.layers.sdf import check_prim_path, open_layer
 from animtool.usd.rigs.rest_pose import read_rest
 
 # Maximum prims whose names are compared with an unknown one.
@@ -48,22 +48,22 @@ def array_value(attr: Any, time: Any = None) -> Any:
     value = attr.Get() if time is None else attr.Get(time)
     if value is None and time is None:
         value = attr.Get(Usd.TimeCode.EarliestTime())
-    return array_of(value)
+    return array_or_empty(value)
 
 
-def array_of(value: Any) -> Any:
+def array_or_empty(value: Any) -> Any:
     """Return a value if it is an array, otherwise an empty tuple."""
     return value if isinstance(value, Sized) and not isinstance(value, str) else ()
 
 
 def number_rows(attr: Any, width: int, time: Any = None) -> FloatArray:
     """Return an attribute's rows ``(N, width)``; empty for another type."""
-    return numbers_of(array_value(attr, time), width)
+    return value_rows(array_value(attr, time), width)
 
 
-def numbers_of(value: Any, width: int) -> FloatArray:
+def value_rows(value: Any, width: int) -> FloatArray:
     """Return the rows of an array ``(N, width)``; empty for another type."""
-    value = array_of(value)
+    value = array_or_empty(value)
     numbers = np.array(value)
     if numbers.dtype.kind not in "fiu" or numbers.size != len(value) * width:
         return np.zeros((0, width))
@@ -101,11 +101,11 @@ class SkeletonRig:
 
 def open_stage(path: Path) -> Any:
     """Open a stage; raise an error if its rate, range, unit or up axis is invalid."""
-    stage = open_composed(find_layer(path), path)
-    where = PrimLocation(str(path), "/")
+    stage = open_composed(open_layer(path), path)
+    location = PrimLocation(str(path), "/")
     rate = stage.GetTimeCodesPerSecond()
     if not MIN_METADATA <= rate <= MAX_METADATA:
-        where.fail(
+        location.fail(
             "USD253",
             f"timeCodesPerSecond is {rate}",
             "write a rate above 0, such as 24",
@@ -115,8 +115,8 @@ def open_stage(path: Path) -> Any:
         ("endTimeCode", stage.GetEndTimeCode()),
     ):
         if not abs(code) <= MAX_METADATA:
-            where.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
-    where.refuse(unit_and_axis_faults(stage))
+            location.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
+    location.raise_errors(unit_and_axis_faults(stage))
     return stage
 
 
@@ -200,11 +200,11 @@ def skeleton_rig(skeleton: Any, path: Path, *, is_animated: bool = True) -> Skel
     replaces.
     """
     stage = skeleton.GetPrim().GetStage()
-    where = PrimLocation.from_prim(path, skeleton)
+    location = PrimLocation.from_prim(path, skeleton)
     tokens = [str(token) for token in array_value(skeleton.GetJointsAttr())]
     rest, notices = np.zeros((0, 4, 4)), list[Fault]()
     if tokens:
-        rest, notices = read_rest(skeleton, tokens, where, is_animated=is_animated)
+        rest, notices = read_rest(skeleton, tokens, location, is_animated=is_animated)
     custom_data = stored_data(skeleton.GetPrim())
     # Files written by animtool store the names.
     joint_names = () if custom_data else array_value(skeleton.GetJointNamesAttr())
@@ -220,7 +220,7 @@ def skeleton_rig(skeleton: Any, path: Path, *, is_animated: bool = True) -> Skel
         tokens,
         rest,
         name,
-        where,
+        location,
         meters,
         up,
         custom_data,
@@ -229,17 +229,19 @@ def skeleton_rig(skeleton: Any, path: Path, *, is_animated: bool = True) -> Skel
     return replace(rig, notices=tuple(notices))
 
 
-def check_animatable(joint_count: int, shape_count: int, where: PrimLocation) -> None:
+def check_animatable(
+    joint_count: int, shape_count: int, location: PrimLocation
+) -> None:
     """Refuse a character without joints or shapes to animate."""
     if not joint_count and not shape_count:
-        where.fail("USD002", "there are no joints and no blend shapes")
+        location.fail("USD002", "there are no joints and no blend shapes")
 
 
 def rig_from_tokens(
     tokens: Sequence[str],
     rest: FloatArray,
     name: str,
-    where: PrimLocation,
+    location: PrimLocation,
     meters_per_unit: float,
     up: UpAxis,
     custom_data: dict[str, Any],
@@ -251,12 +253,12 @@ def rig_from_tokens(
     ``custom_data``, else from ``source_names`` (the Skeleton's ``jointNames``) if
     valid.
     """
-    where.refuse(joint_order_faults(f"{where.where}.joints", tokens))
+    location.raise_errors(joint_order_faults(f"{location.where}.joints", tokens))
     if not isinstance(custom_data, dict) or not all(
         isinstance(custom_data.get(key, {}), dict) for key in ("names", "pins")
     ):
-        where.fail("USD007", "customData animtool is malformed")
-    extras = _parse_joint_extras(custom_data, where)
+        location.fail("USD007", "customData animtool is malformed")
+    extras = _parse_joint_extras(custom_data, location)
     original_names = dict(custom_data.get("names", {}))
     are_printable = all(name.strip() and name.isprintable() for name in source_names)
     are_unique = len(set(source_names)) == len(source_names)
@@ -270,7 +272,7 @@ def rig_from_tokens(
         leaf = token.rpartition("/")[2]
         if match := _CONTROL_CHARACTER.search(f"{leaf}{original_names.get(leaf, '')}"):
             message = f"joint {excerpt(token)} holds the control character {match[0]!r}"
-            where.fail("DOC023", message)
+            location.fail("DOC023", message)
         unique = unique_names[i]
         settings = extras.get(leaf, {})
         x, y, z = (translations[i] * meters_per_unit).tolist()
@@ -301,7 +303,7 @@ def _source_name(stored_name: Any, joint_name: str, leaf: str, unique: str) -> s
 
 
 def _parse_joint_extras(
-    data: dict[str, Any], where: PrimLocation
+    data: dict[str, Any], location: PrimLocation
 ) -> dict[str, dict[str, Any]]:
     text = data.get("joints", "")
     if not text:
@@ -311,9 +313,9 @@ def _parse_joint_extras(
         version, joints = content["animtool"], content["joints"]
         extras = {str(name): _joint_extras(entry) for name, entry in joints.items()}
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        where.fail("USD007", f"customData animtool:joints is malformed: {error}")
+        location.fail("USD007", f"customData animtool:joints is malformed: {error}")
     if version != 1:
-        where.fail("USD007", f"customData animtool:joints needs animtool/{version}")
+        location.fail("USD007", f"customData animtool:joints needs animtool/{version}")
     return extras
 
 
@@ -363,16 +365,16 @@ def search_root(stage: Any, prim_path: str | None) -> str:
     return "/"
 
 
-def composition_notices(stage: Any, where: str) -> list[Fault]:
+def composition_notices(stage: Any, file_path: str) -> list[Fault]:
     """Report unresolved references of a stage."""
     hint = "what it holds is missing; correct the path, or restore the file"
     return [
-        Fault("USD112", f"{prim}: {text}"[:300], where, (), hint, Severity.WARNING)
+        Fault("USD112", f"{prim}: {text}"[:300], file_path, (), hint, Severity.WARNING)
         for prim, text in sorted(unresolved_arcs(stage))
     ]
 
 
-def skipped_skeletons_notice(skeletons: list[Any], where: str) -> list[Fault]:
+def skipped_skeletons_notice(skeletons: list[Any], file_path: str) -> list[Fault]:
     """Report the Skeletons that are skipped if a stage has more than one."""
     if len(skeletons) < 2:
         return []
@@ -380,4 +382,4 @@ def skipped_skeletons_notice(skeletons: list[Any], where: str) -> list[Fault]:
     message = f"reading {first_path} of {len(skeletons)} skeletons; the others: "
     message += listed(other_paths)
     hint = f"choose one with {argument('source.prim_path')}"
-    return [Fault("USD107", message, where, (), hint, Severity.WARNING)]
+    return [Fault("USD107", message, file_path, (), hint, Severity.WARNING)]

@@ -151,7 +151,7 @@ def _missing_rest_fault(
     skeleton: Any, joints: Sequence[str], *, is_animated: bool
 ) -> Fault:
     """Return the fault of missing rest transforms; a warning if replaceable."""
-    where = skeleton.GetRestTransformsAttr().GetPath()
+    location = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     unanimated_joints = (
         _unanimated_joints(_bound_animation(skeleton), joints) if is_animated else []
@@ -161,20 +161,22 @@ def _missing_rest_fault(
             f", and the animation does not have {len(unanimated_joints)} of them: "
         )
         message += f"{listed(unanimated_joints, MAX_LISTED_JOINTS)}; UsdSkel poses none"
-        return finding("USD239", where, message)
+        return finding("USD239", location, message)
     pose = find_rest_pose(skeleton, joints)
     if pose is None:
         message += (
             ", and neither bindTransforms nor an animation of all joints to use instead"
         )
-        return finding("USD239", where, message)
-    return finding("USD229", where, f"{message}; using {pose.source} as the rest pose")
+        return finding("USD239", location, message)
+    return finding(
+        "USD229", location, f"{message}; using {pose.source} as the rest pose"
+    )
 
 
 def read_rest(
     skeleton: Any,
     joints: Sequence[str],
-    where: PrimLocation,
+    location: PrimLocation,
     *,
     is_animated: bool = True,
 ) -> tuple[FloatArray, list[Fault]]:
@@ -184,12 +186,12 @@ def read_rest(
     """
     faults = list(rest_faults(skeleton, joints, is_animated=is_animated))
     replacement_faults = [fault for fault in faults if fault.code == "USD229"]
-    where.refuse(fault for fault in faults if fault not in replacement_faults)
+    location.raise_errors(fault for fault in faults if fault not in replacement_faults)
     pose = find_rest_pose(skeleton, joints)
     matrices = np.zeros((0, 4, 4)) if pose is None else pose.matrices
     warning = Severity.WARNING
     return matrices, [
-        replace(fault, path=where.path, severity=warning)
+        replace(fault, path=location.path, severity=warning)
         for fault in replacement_faults
     ]
 

@@ -62,7 +62,7 @@ def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, A
 
 
 def apply_recorded_rest(
-    rig: Rig, skeleton: Any, animation: Any, where: PrimLocation
+    rig: Rig, skeleton: Any, animation: Any, location: PrimLocation
 ) -> Rig:
     """Return a rig at the rest placement that is recorded in customData.
 
@@ -70,11 +70,15 @@ def apply_recorded_rest(
         rig: The rig.
         skeleton: Prim with the rest pose; None for none.
         animation: Prim with the motion; None is the rest pose.
-        where: Location for faults.
+        location: Location for faults.
     """
-    rest_placement = None if skeleton is None else _recorded_placement(skeleton, where)
+    rest_placement = (
+        None if skeleton is None else _recorded_placement(skeleton, location)
+    )
     motion_placement = (
-        rest_placement if animation is None else _recorded_placement(animation, where)
+        rest_placement
+        if animation is None
+        else _recorded_placement(animation, location)
     )
     if motion_placement is None:
         return rig
@@ -93,7 +97,7 @@ def apply_recorded_rest(
 
 
 def _recorded_placement(
-    prim: Any, where: PrimLocation
+    prim: Any, location: PrimLocation
 ) -> tuple[Placement, bool] | None:
     """Return a prim's recorded placement and whether it is animated; None if absent."""
     # Writing does not need stages.
@@ -107,12 +111,12 @@ def _recorded_placement(
         for key in ("translate", "rotate")
     )
     if not isinstance(position, Gf.Vec3d) or not isinstance(orientation, Gf.Quatd):
-        where.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
+        location.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
     rotation = np.array([*orientation.GetImaginary(), orientation.GetReal()], float)
     translation = np.array(position, float)
     length = float(np.linalg.norm(rotation))
     if not np.isfinite(translation).all() or not abs(length - 1.0) < 1e-3:
-        where.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
+        location.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
     placement = Placement(translation[None], rotation[None] / length, np.ones(1))
     return placement, bool(record.get("rides", False))
 
@@ -133,14 +137,14 @@ def author_rig(
     prim_spec(layer, paths.root, "SkelRoot")
     spec = prim_spec(layer, paths.skeleton, "Skeleton")
     tokens = Vt.TokenArray(rig.paths(names.names))
-    attribute_spec(spec, "joints", _TYPES.TokenArray, tokens, uniform=True)
+    attribute_spec(spec, "joints", _TYPES.TokenArray, tokens, is_uniform=True)
     bind_world = bind_matrices(rig)
     bind = _row_matrices(bind_world[:, :3, 3] / meters_per_unit, bind_world[:, :3, :3])
     local_linear = so3.to_matrix(rig.rest_rotations)
     rest = _row_matrices(rig.rest_translations / meters_per_unit, local_linear)
     matrices = _TYPES.Matrix4dArray
-    attribute_spec(spec, "bindTransforms", matrices, bind, uniform=True)
-    attribute_spec(spec, "restTransforms", matrices, rest, uniform=True)
+    attribute_spec(spec, "bindTransforms", matrices, bind, is_uniform=True)
+    attribute_spec(spec, "restTransforms", matrices, rest, is_uniform=True)
     if any(entry.points is not None for entry in rig.attach):
         paths_by_name = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, paths_by_name, meters_per_unit)
@@ -243,16 +247,16 @@ def joint_extras_json(rig: Rig, names: list[str]) -> str:
 
 
 def bind_animation(
-    layer: Any, paths: RigPaths, *, bind_skeleton: bool, bind_source: bool = True
+    layer: Any, paths: RigPaths, *, binds_skeleton: bool, binds_source: bool = True
 ) -> None:
     """Apply SkelBindingAPI; bind the animation, the skeleton, or both."""
     spec = layer.GetPrimAtPath(paths.binding)
     if spec is None:
-        spec = prim_spec(layer, paths.binding, over=True)
+        spec = prim_spec(layer, paths.binding, is_over=True)
     apply_schemas(spec, ["SkelBindingAPI"])
-    if bind_source:
+    if binds_source:
         author_relationship(spec, "skel:animationSource", paths.animation)
-    if bind_skeleton:
+    if binds_skeleton:
         author_relationship(spec, "skel:skeleton", paths.skeleton)
 
 
@@ -287,14 +291,16 @@ def author_strands(
         if tokens is not None:
             apply_schemas(spec, ["SkelBindingAPI"])
             joint = Vt.TokenArray([tokens[entry.joint]])
-            attribute_spec(spec, "skel:joints", _TYPES.TokenArray, joint, uniform=True)
+            attribute_spec(
+                spec, "skel:joints", _TYPES.TokenArray, joint, is_uniform=True
+            )
             author_influences(spec, np.zeros((1, 1)), np.ones((1, 1)), "constant")
 
 
 def _author_curves(spec: Any, points: FloatArray, width: float) -> None:
     from pxr import UsdGeom
 
-    from animtool.usd.caches.writer import POLYLINE, author_values, author_width
+    from animtool.usd.caches.writer import POLYLINE_TOKENS, author_values, author_width
 
     count, length = points.shape[:2]
     labels = ValueLabels(f"{spec.path}.points", "point")
@@ -304,7 +310,7 @@ def _author_curves(spec: Any, points: FloatArray, width: float) -> None:
     curve_points, widths = Vt.Vec3fArray.FromNumpy(points_array), Vt.FloatArray([width])
     values = {
         "extent": np.array(UsdGeom.Curves.ComputeExtent(curve_points, widths)),
-        **POLYLINE,
+        **POLYLINE_TOKENS,
         "curveVertexCounts": np.full(count, length, np.int32),
         "points": points_array,
     }

@@ -62,7 +62,7 @@ def skeleton_bindings(root: Any) -> Any:
 _BINDING_ATTRIBUTES = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
 
 
-def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
+def unbound_notice(skeleton: Any, file_path: str) -> list[Fault]:
     """Report prims that stay at rest because SkelBindingAPI is not applied."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
@@ -81,7 +81,7 @@ def unbound_notice(skeleton: Any, where: str) -> list[Fault]:
         f"SkelBindingAPI is not applied to {listed(unbound_paths, MAX_LISTED_PRIMS)}"
         ", which no joint or shape deforms"
     )
-    return [Fault("USD144", message, where, (), BINDING_HINT, Severity.WARNING)]
+    return [Fault("USD144", message, file_path, (), BINDING_HINT, Severity.WARNING)]
 
 
 def unapplied_binding_path(skeleton: Any) -> str:
@@ -209,7 +209,7 @@ def _character_root(skeleton: Any) -> str:
     return str(top_prim.GetPath())
 
 
-def has_character_at(stage: Any, prim_path: str, where: str) -> bool:
+def has_character_at(stage: Any, prim_path: str, file_path: str) -> bool:
     """Return whether a stage has a character at a path; False for a movable rig layer.
 
     A rig layer has a single character at the top and no prim at the start of the path.
@@ -223,7 +223,7 @@ def has_character_at(stage: Any, prim_path: str, where: str) -> bool:
     existing_paths = listed(characters, MAX_LISTED_PRIMS)
     message = f"has no character at {prim_path}, but at {existing_paths}"
     hint = "only a file with a single rig can be given a new path"
-    raise OptionError(Fault("USD033", message, where, (), hint))
+    raise OptionError(Fault("USD033", message, file_path, (), hint))
 
 
 def _is_movable_rig(stage: Any, prim_path: str, characters: list[str]) -> bool:

@@ -25,7 +25,11 @@ from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import read_meshes, read_strands
-from animtool.usd.rigs.placement import local_placement, rest_rig, unsupported_notice
+from animtool.usd.rigs.placement import (
+    local_placement,
+    rig_at_stage_placement,
+    unsupported_notice,
+)
 from animtool.usd.rigs.prims import (
     MAX_REST_VALUE,
     SkeletonRig,
@@ -215,7 +219,7 @@ def _merge_shapes(stored_rig: Rig, usd_rig: Rig) -> tuple[Shape, ...]:
 
 
 def _merge_skeleton(
-    stored_rig: Rig, usd_rig: Rig, where: str
+    stored_rig: Rig, usd_rig: Rig, file_path: str
 ) -> tuple[Rig, list[Fault]]:
     stored_joints = {joint.name: joint for joint in stored_rig.joints}
     parents = {
@@ -252,7 +256,7 @@ def _merge_skeleton(
         message += f"; joints that differ: {listed(changed_names)}"
     if removed_names:
         message += f"; removed: {listed(removed_names)}"
-    notice = Fault("USD117", message, where, severity=Severity.WARNING)
+    notice = Fault("USD117", message, file_path, severity=Severity.WARNING)
     return _remove_joints(
         replace(stored_rig, joints=tuple(joints), bind=usd_rig.bind), removed_names
     ), [notice]
@@ -335,11 +339,11 @@ def read_rig(path: Path) -> Rig:
 
 
 def read_rig_with_data(
-    path: Path, prim_path: str | None = None, choice: str | None = None
+    path: Path, prim_path: str | None = None, placement_choice: str | None = None
 ) -> tuple[Rig, list[Fault]]:
     """Return the rig of the first Skeleton below a prim, by default the default prim.
 
-    ``choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
+    ``placement_choice`` is its placement, as in `animtool.usd.takes.read.read_usd`.
 
     The rig has bind pose, meshes, shapes, strands, and the customData that USD cannot
     express.
@@ -355,8 +359,8 @@ def read_rig_with_data(
         usd_skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
         skeleton = skeletons[0]
         meshes, shapes, notices = read_meshes(skeleton, usd_skeleton, str(path))
-        where = PrimLocation.from_prim(path, skeleton)
-        check_animatable(len(usd_skeleton.rig.joints), len(shapes), where)
+        prim_location = PrimLocation.from_prim(path, skeleton)
+        check_animatable(len(usd_skeleton.rig.joints), len(shapes), prim_location)
         notices += usd_skeleton.notices
         notices += skipped_skeletons_notice(skeletons, str(path))
         notices += composition_notices(stage, str(path))
@@ -374,8 +378,8 @@ def read_rig_with_data(
             merged_rig, rig, stored_data(skeleton.GetPrim()), path
         )
         placement = local_placement(skeleton.GetPrim(), usd_skeleton.rig)
-        notices += unsupported_notice(placement, where)
-        rig_at_rest = rest_rig(full_rig, placement, choice)
+        notices += unsupported_notice(placement, prim_location)
+        rig_at_rest = rig_at_stage_placement(full_rig, placement, placement_choice)
         return rig_at_rest, notices + edit_notices + dropped_notices
 
 
@@ -410,7 +414,9 @@ def _bind_poses(
     return poses, scales
 
 
-def _scale_notice(rig: SkeletonRig, bind_scales: FloatArray, where: str) -> list[Fault]:
+def _scale_notice(
+    rig: SkeletonRig, bind_scales: FloatArray, file_path: str
+) -> list[Fault]:
     """Report joints with a scale in the rest or bind pose, which rigs cannot store."""
     deviations = np.abs(np.stack([rig.rest_scales, bind_scales]) - 1.0).max(axis=(0, 2))
     names = [rig.rig.names[j] for j in np.flatnonzero(deviations > SCALE_TOLERANCE)]
@@ -418,4 +424,4 @@ def _scale_notice(rig: SkeletonRig, bind_scales: FloatArray, where: str) -> list
         return []
     message = f"the scale of rest or bind transforms is ignored: {listed(names)}"
     hint = "a rig cannot store it; a take of the file itself, and its meshes, keep it"
-    return [Fault("USD120", message, where, (), hint, Severity.WARNING)]
+    return [Fault("USD120", message, file_path, (), hint, Severity.WARNING)]

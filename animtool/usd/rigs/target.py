@@ -114,8 +114,8 @@ def _open_rig_target(stage: Any, path: Path, prim_path: str | None) -> RigTarget
         start = Fraction(stage.GetStartTimeCode()).limit_denominator(1_000_000)
     operations = UsdGeom.Xformable(root).GetOrderedXformOps()
     placing_ops, motion_ops = (
-        [str(op.GetOpName()) for op in operations if is_root_motion(op) is moves]
-        for moves in (False, True)
+        [str(op.GetOpName()) for op in operations if is_root_motion(op) is is_motion]
+        for is_motion in (False, True)
     )
     skeleton = skeleton_rig(skeletons[0], path, is_animated=False)
     notices = composition_notices(stage, str(path))
@@ -165,7 +165,7 @@ def _skeletons_below(stage: Any, path: Path, root_path: str) -> tuple[list[Any],
     return skeletons, root
 
 
-def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
+def _unit_notice(stage: Any, rig: Rig, file_path: str) -> list[Fault]:
     """Report a shot whose units or up axis differ from those of its rig."""
     unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     is_same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
@@ -174,10 +174,12 @@ def _unit_notice(stage: Any, rig: Rig, where: str) -> list[Fault]:
     rig_units = f"{unit_name(rig.meters_per_unit)}, {rig.up} up"
     message = f"the stage is in {unit_name(unit)}, {up} up, but its rig in {rig_units}"
     hint = "the animation uses the rig's; the shot's own transform must match them"
-    return [Fault("USD110", message, where, (), hint, Severity.NOTE)]
+    return [Fault("USD110", message, file_path, (), hint, Severity.NOTE)]
 
 
-def _existing_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fault]:
+def _existing_binding_notice(
+    stage: Any, paths: RigPaths, file_path: str
+) -> list[Fault]:
     """Report a shot that already binds an animation to its rig."""
     layer = stage.GetRootLayer()
     skeleton = layer.GetPrimAtPath(paths.skeleton)
@@ -187,7 +189,7 @@ def _existing_binding_notice(stage: Any, paths: RigPaths, where: str) -> list[Fa
         return []
     message = f"the shot already binds an animation at {paths.binding}"
     hint = "as a sublayer of the shot the layer would be weaker: put it above the shot"
-    return [Fault("USD132", message, where, (), hint, Severity.WARNING)]
+    return [Fault("USD132", message, file_path, (), hint, Severity.WARNING)]
 
 
 def _model_path(stage: Any, root: Any, prim_path: str | None) -> Any:

@@ -12,7 +12,11 @@ from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.usd.caches.reader import PointReader
 from animtool.usd.caches.writer import bounds_corners
 from animtool.usd.props.prim_transforms import world_matrices
-from animtool.usd.rigs.placement import DROP, animated_ancestors, fixed_matrices
+from animtool.usd.rigs.placement import (
+    DROP_PLACEMENT,
+    animated_ancestors,
+    fixed_matrices,
+)
 from animtool.usd.rigs.prims import number_rows, sample_times
 from animtool.usd.rigs.skinned import MAX_LISTED_PRIMS, is_rig_mesh, skeleton_bindings
 
@@ -23,11 +27,11 @@ MOTION_TOLERANCE = 1e-6
 
 
 def animated_mesh_notice(
-    skeleton: Any, where: str, choice: str | None = None
+    skeleton: Any, file_path: str, placement_choice: str | None = None
 ) -> list[Fault]:
     """Report animated meshes of a character that no joint deforms (USD147).
 
-    ``choice`` is its placement; ``drop`` ignores motion of the character's placement.
+    ``placement_choice``: ``drop`` ignores motion of the character's placement.
     """
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
@@ -42,7 +46,7 @@ def animated_mesh_notice(
         str(prim.GetPath()): distance
         for prim in Usd.PrimRange(root.GetPrim(), Usd.TraverseInstanceProxies())
         if is_rig_mesh(prim) and prim.GetPath() not in skinned_paths
-        if (distance := _max_displacement(prim, skeleton.GetPrim(), choice))
+        if (distance := _max_displacement(prim, skeleton.GetPrim(), placement_choice))
         > MOTION_TOLERANCE
     }
     if not distances:
@@ -58,14 +62,14 @@ def animated_mesh_notice(
         "meshes without "
         "shapes keep their transforms"
     )
-    return [Fault("USD147", message, where, (), hint, Severity.WARNING)]
+    return [Fault("USD147", message, file_path, (), hint, Severity.WARNING)]
 
 
-def _max_displacement(prim: Any, skeleton: Any, choice: str | None) -> float:
+def _max_displacement(prim: Any, skeleton: Any, placement_choice: str | None) -> float:
     """Return the largest displacement of a mesh from its first position [m]."""
     xformables = [
         *animated_ancestors(prim),
-        *(animated_ancestors(skeleton) if choice == DROP else ()),
+        *(animated_ancestors(skeleton) if placement_choice == DROP_PLACEMENT else ()),
     ]
     times = sample_times(xformables)
     if len(times) < 2:
@@ -75,9 +79,9 @@ def _max_displacement(prim: Any, skeleton: Any, choice: str | None) -> float:
     )
     codes = np.array(times)[sample_positions.round().astype(int)]
     matrices = world_matrices(prim, codes)
-    if choice == DROP:
+    if placement_choice == DROP_PLACEMENT:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))
-    points = number_rows(PointReader(prim).attr, 3, Usd.TimeCode.EarliestTime())
+    points = number_rows(PointReader(prim).points_attr, 3, Usd.TimeCode.EarliestTime())
     corners = bounds_corners(points) if len(points) else np.zeros((1, 3))
     positions = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
     distance = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)

@@ -67,30 +67,30 @@ class AnimationMotion:
 
 
 def read_animation(
-    stage: Any, skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
+    stage: Any, skeleton: SkeletonRig, animation: Any, prim: Any, location: PrimLocation
 ) -> AnimationMotion:
     """Return the motion of a Skeleton's joints and shapes from an animation.
 
     ``prim`` is the Skeleton; None for an animation layer without its rig.
     """
-    joint_indices, notices = _match_joints(skeleton, animation, prim, where)
-    attributes = _require_attributes(animation, joint_indices, where, notices)
+    joint_indices, notices = _match_joints(skeleton, animation, prim, location)
+    attributes = _require_attributes(animation, joint_indices, location, notices)
     shapes = animated_shapes(animation)
-    check_animatable(len(skeleton.rig.joints), len(shapes), where)
+    check_animatable(len(skeleton.rig.joints), len(shapes), location)
     sources = [
         *attributes.values(),
         *([] if prim is None else animated_ancestors(prim)),
     ]
     sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
     times = sample_times(sources)
-    grid = find_sample_grid(stage, animation, times, where)
+    grid = find_sample_grid(stage, animation, times, location)
     if prim is not None and has_animated_rotation_or_scale(prim):
-        grid = refine_to_frames(grid, stage, where)
+        grid = refine_to_frames(grid, stage, location)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     clock = Clock(fps, grid.start, grid.step, grid.count)
     codes = clock.times.tolist()
-    notices += _grid_notices(grid, len(times), where)
-    notices += _rate_notices(stage, clock, where)
+    notices += _grid_notices(grid, len(times), location)
+    notices += _rate_notices(stage, clock, location)
     rig = skeleton.rig
     meters = rig.meters_per_unit
 
@@ -99,18 +99,22 @@ def read_animation(
         attr, width, values = attributes.get(name), rest.shape[1], None
         if attr is not None:
             values = read_samples(
-                attr, codes, len(joint_indices), width, where, drift=grid.drift
+                attr, codes, len(joint_indices), width, location, drift=grid.drift
             )
         return fill_with_rest(rest, values, joint_indices, len(codes))
 
     translations = joint_values("translations", rig.rest_translations / meters) * meters
     rotations = joint_values("rotations", rig.rest_rotations)
     scales = joint_values("scales", skeleton.rest_scales)
-    rotations, length_warnings = normalize_rotations(rotations, rig.names, codes, where)
+    rotations, length_warnings = normalize_rotations(
+        rotations, rig.names, codes, location
+    )
     notices += length_warnings
     weights = None
     if shapes:
-        weights = read_shape_weights(animation, codes, len(shapes), where, grid.drift)
+        weights = read_shape_weights(
+            animation, codes, len(shapes), location, grid.drift
+        )
     motion = Motion(
         Channel.from_dense(translations),
         Channel.from_dense(so3.align_signs(rotations)),
@@ -121,7 +125,10 @@ def read_animation(
 
 
 def _require_attributes(
-    animation: Any, joint_indices: IntArray, where: PrimLocation, notices: list[Fault]
+    animation: Any,
+    joint_indices: IntArray,
+    location: PrimLocation,
+    notices: list[Fault],
 ) -> dict[str, Any]:
     """Return the joint attributes of an animation by name; refuse missing ones.
 
@@ -134,15 +141,15 @@ def _require_attributes(
         missing_transform_faults(animation, token_array(animation.GetJointsAttr()))
     )
     if any(fault.severity is Severity.ERROR for fault in faults):
-        where.refuse(faults)
-    notices += [replace(fault, path=where.path) for fault in faults]
+        location.raise_errors(faults)
+    notices += [replace(fault, path=location.path) for fault in faults]
     if faults:
         return {}
     return transform_attributes(animation)
 
 
 def _match_joints(
-    skeleton: SkeletonRig, animation: Any, prim: Any, where: PrimLocation
+    skeleton: SkeletonRig, animation: Any, prim: Any, location: PrimLocation
 ) -> tuple[IntArray, list[Fault]]:
     """Return the Skeleton joint of each animation joint (-1 for none), and warnings."""
     attr = animation.GetJointsAttr()
@@ -153,41 +160,43 @@ def _match_joints(
     if prim is None:
         return joint_indices, []
     unknown_joints = unknown_joint_faults(attr, skeleton.tokens, prim.GetPath())
-    return joint_indices, [replace(fault, path=where.path) for fault in unknown_joints]
+    return joint_indices, [
+        replace(fault, path=location.path) for fault in unknown_joints
+    ]
 
 
-def _rate_notices(stage: Any, clock: Clock, where: PrimLocation) -> list[Fault]:
+def _rate_notices(stage: Any, clock: Clock, location: PrimLocation) -> list[Fault]:
     """Return a warning if time codes look like frames but count seconds (TAKE009)."""
-    shown_rate = float(stage.GetFramesPerSecond())
+    displayed_rate = float(stage.GetFramesPerSecond())
     if not stage.HasAuthoredMetadata("framesPerSecond") or clock.count < MIN_FRAMES:
         return []
-    if clock.step < 1 or not shown_rate >= MIN_RATE_RATIO * clock.fps:
+    if clock.step < 1 or not displayed_rate >= MIN_RATE_RATIO * clock.fps:
         return []
-    seconds = float((clock.count - 1) * clock.step / clock.fps)
+    duration = float((clock.count - 1) * clock.step / clock.fps)
     message = (
         f"timeCodesPerSecond is {float(clock.fps):g}, so {clock.count} frames last "
-        f"{duration_text(seconds)}; framesPerSecond is {shown_rate:g}"
+        f"{duration_text(duration)}; framesPerSecond is {displayed_rate:g}"
     )
-    hint = f"if its time codes are frames, set timeCodesPerSecond = {shown_rate:g}"
-    return [Fault("TAKE009", message, where.path, (), hint, Severity.WARNING)]
+    hint = f"if its time codes are frames, set timeCodesPerSecond = {displayed_rate:g}"
+    return [Fault("TAKE009", message, location.path, (), hint, Severity.WARNING)]
 
 
 def _grid_notices(
-    grid: SampleGrid, sample_count: int, where: PrimLocation
+    grid: SampleGrid, sample_count: int, location: PrimLocation
 ) -> list[Fault]:
     """Return notices about samples that are irregular or not on frames."""
     notices = []
     interval = "time code" if grid.step == 1 else f"{float(grid.step):g} time codes"
     if not grid.is_regular:
         message = f"samples are unevenly spaced; read every {interval}"
-        notices.append(where.fault("USD105", message, severity=Severity.NOTE))
+        notices.append(location.fault("USD105", message, severity=Severity.NOTE))
     if grid.drift:
         message = (
             f"samples are up to {grid.drift:.2g} time codes off the frames (at "
             f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
             f"one every {interval}"
         )
-        notices.append(where.fault("USD121", message, severity=Severity.NOTE))
+        notices.append(location.fault("USD121", message, severity=Severity.NOTE))
     if grid.between_count:
         message = (
             f"{grid.between_count} of {sample_count} samples fall between frames; "
@@ -195,7 +204,7 @@ def _grid_notices(
         )
         hint = "resample the animation to whole frames in the tool that wrote it"
         warning = Severity.WARNING
-        notices.append(where.fault("USD122", message, hint, warning))
+        notices.append(location.fault("USD122", message, hint, warning))
     return notices
 
 
@@ -217,7 +226,7 @@ def find_first_animation(stage: Any, root_path: str) -> Any:
     return None
 
 
-def root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
+def root_motion_notice(animation: Any, location: PrimLocation) -> list[Fault]:
     """Report root motion of a layer that is read without its rig."""
     parent = animation.GetPrim().GetParent()
     order = parent.GetAttribute("xformOpOrder")
@@ -225,14 +234,14 @@ def root_motion_notice(animation: Any, where: PrimLocation) -> list[Fault]:
         return []
     message = f"{parent.GetPath()} carries root motion, which is ignored"
     hint = "read a stage that contains the rig too"
-    return [where.fault("USD113", message, hint, Severity.WARNING)]
+    return [location.fault("USD113", message, hint, Severity.WARNING)]
 
 
 def rig_from_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
     """Return a rig for an animation without Skeleton; its first sample is the rest."""
     joints = token_array(animation.GetJointsAttr())
-    where = PrimLocation.from_prim(path, animation)
-    where.refuse(duplicate_name_faults(animation.GetJointsAttr()))
+    location = PrimLocation.from_prim(path, animation)
+    location.raise_errors(duplicate_name_faults(animation.GetJointsAttr()))
     custom_data = stored_data(animation.GetPrim())
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     first_code = Usd.TimeCode.EarliestTime()
@@ -243,7 +252,7 @@ def rig_from_animation(animation: Any, path: Path, stage: Any) -> SkeletonRig:
         joints,
         matrices,
         path.stem,
-        where,
+        location,
         UsdGeom.GetStageMetersPerUnit(stage),
         up_axis(stage),
         {"names": custom_data["names"]} if "names" in custom_data else {},

@@ -40,12 +40,14 @@ def read_shape_weights(
     animation: Any,
     codes: list[float],
     shape_count: int,
-    where: PrimLocation,
+    location: PrimLocation,
     drift: float = 0.0,
 ) -> Channel:
     """Return the blend shape weights of an animation; see `read_samples`."""
     attr = animation.GetBlendShapeWeightsAttr()
-    rows = read_samples(attr, codes, shape_count, 1, where, noun="shape", drift=drift)
+    rows = read_samples(
+        attr, codes, shape_count, 1, location, noun="shape", drift=drift
+    )
     return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
 
 
@@ -54,7 +56,7 @@ def read_samples(
     codes: list[float],
     item_count: int,
     component_count: int,
-    where: PrimLocation,
+    location: PrimLocation,
     *,
     noun: str = "joint",
     drift: float = 0.0,
@@ -76,7 +78,7 @@ def read_samples(
                 f" for {counted(item_count, noun)}"
             )
             hint = f"{_time_label(time)}; UsdSkel falls back to rest"
-            where.at_prim(attr).fail(
+            location.at_prim(attr).fail(
                 "USD206" if noun == "shape" else "USD200", message, hint
             )
         rows[i] = value
@@ -84,7 +86,7 @@ def read_samples(
         frame, joint, _ = np.argwhere(~np.isfinite(rows))[0]
         message = f"{attr.GetName()} is not finite"
         hint = f"{_time_label(time_codes[frame])}, {noun} {joint}"
-        where.at_prim(attr).fail("USD202", message, hint)
+        location.at_prim(attr).fail("USD202", message, hint)
     return rows
 
 
@@ -111,8 +113,8 @@ def nearest_samples(
     distances = np.abs(neighbours - frame_times)
     nearest = np.where(distances[0] <= distances[1], neighbours[0], neighbours[1])
     # The tolerance includes rounding of the distance itself.
-    is_near = distances.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
-    return list(map(float, np.where(is_near, nearest, frame_times)))
+    is_near_grid = distances.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
+    return list(map(float, np.where(is_near_grid, nearest, frame_times)))
 
 
 def _time_label(time: Any) -> str:
@@ -123,7 +125,10 @@ def _time_label(time: Any) -> str:
 
 
 def normalize_rotations(
-    rotations: FloatArray, names: Sequence[str], codes: list[float], where: PrimLocation
+    rotations: FloatArray,
+    names: Sequence[str],
+    codes: list[float],
+    location: PrimLocation,
 ) -> tuple[FloatArray, list[Fault]]:
     """Return rotations ``(F, J, 4)`` at unit length, and a warning if any were not."""
     lengths = np.sqrt(np.einsum("fjc,fjc->fj", rotations, rotations))
@@ -141,7 +146,7 @@ def normalize_rotations(
             "are normalised"
         )
         hint = "UsdSkel does not normalise, and scales these joints"
-        notices.append(where.fault("USD123", message, hint, Severity.WARNING))
+        notices.append(location.fault("USD123", message, hint, Severity.WARNING))
     return so3.normalize(rotations), notices
 
 
@@ -209,14 +214,16 @@ def fill_with_rest(
 
 
 def find_sample_grid(
-    stage: Any, animation: Any, times: list[float], where: PrimLocation
+    stage: Any, animation: Any, times: list[float], location: PrimLocation
 ) -> SampleGrid:
     """Return the frame grid of an animation."""
-    grid = _find_grid(times, _authored_span(stage, animation), where)
+    grid = _find_grid(times, _authored_span(stage, animation), location)
     return _snap_to_standard_rate(grid, rate_from_float(stage.GetTimeCodesPerSecond()))
 
 
-def refine_to_frames(grid: SampleGrid, stage: Any, where: PrimLocation) -> SampleGrid:
+def refine_to_frames(
+    grid: SampleGrid, stage: Any, location: PrimLocation
+) -> SampleGrid:
     """Subdivide a grid so that its steps are at most one frame.
 
     Joints interpolate linearly between samples, but rotating or scaling transforms do
@@ -232,7 +239,7 @@ def refine_to_frames(grid: SampleGrid, stage: Any, where: PrimLocation) -> Sampl
     count = (grid.count - 1) * subdivisions + 1
     if count > MAX_GRID_FRAMES and subdivisions > 1:
         message = f"its moving placement spans {count} frames"
-        where.fail("USD016", message, "is one of its samples a stray one?")
+        location.fail("USD016", message, "is one of its samples a stray one?")
     return replace(grid, step=grid.step / subdivisions, count=count)
 
 
@@ -255,7 +262,9 @@ def _snap_to_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
     )
 
 
-def _find_grid(times: list[float], span: _TakeSpan, where: PrimLocation) -> SampleGrid:
+def _find_grid(
+    times: list[float], span: _TakeSpan, location: PrimLocation
+) -> SampleGrid:
     if not times and span.last is not None:
         # Nothing moves during the take or its stage.
         frames = min(max(0, math.floor(span.last - span.first)), MAX_GRID_FRAMES) + 1
@@ -265,7 +274,7 @@ def _find_grid(times: list[float], span: _TakeSpan, where: PrimLocation) -> Samp
         return SampleGrid(start, Fraction(1), 1, True)
     grid = _exact_grid(times) or _drifting_grid(times) or _snapped_grid(times)
     if grid is None:
-        return _integer_grid(times, where)
+        return _integer_grid(times, location)
     return _trim_to_authored_start(grid, span)
 
 
@@ -344,7 +353,7 @@ def _snapped_grid(times: list[float]) -> SampleGrid | None:
     )
 
 
-def _integer_grid(times: list[float], where: PrimLocation) -> SampleGrid:
+def _integer_grid(times: list[float], location: PrimLocation) -> SampleGrid:
     """Return the grid of all integer time codes in the range of the samples."""
     exact_times = [time_fraction(time) for time in times]
     first_code, last_code = math.floor(exact_times[0]), math.ceil(exact_times[-1])
@@ -352,7 +361,7 @@ def _integer_grid(times: list[float], where: PrimLocation) -> SampleGrid:
         message = (
             f"{len(times)} samples spread over {last_code - first_code} time codes"
         )
-        where.fail("USD016", message, "is one of them a stray sample?")
+        location.fail("USD016", message, "is one of them a stray sample?")
     between_count = sum(time.denominator != 1 for time in exact_times)
     count = last_code - first_code + 1
     return SampleGrid(

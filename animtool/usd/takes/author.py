@@ -68,21 +68,21 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
     """
     outputs = output_paths(job.output, job.form)
     animation_layer = new_layer(outputs[1 if job.form is LayerForm.SPLIT else 0])
-    authored = AuthoredLayers(animation_layer)
+    authored_layers = AuthoredLayers(animation_layer)
     notices: list[Fault] = []
     if job.form is not LayerForm.LAYER:
-        authored.rig = (
+        authored_layers.rig = (
             new_layer(outputs[0]) if job.form is LayerForm.SPLIT else animation_layer
         )
     with Sdf.ChangeBlock():
-        if authored.rig is not None:
-            notices += _author_rig_and_geometry(job, authored)
+        if authored_layers.rig is not None:
+            notices += _author_rig_and_geometry(job, authored_layers)
         authored_takes = [
-            _author_take(job, authored, take, is_first=not i)
+            _author_take(job, authored_layers, take, is_first=not i)
             for i, take in enumerate(takes)
         ]
         written_takes = [authored_take.report for authored_take in authored_takes]
-        for layer in authored.layers:
+        for layer in authored_layers.layers:
             author_metadata(layer, _stage_metadata(job, written_takes))
     notices += [notice for take in written_takes for notice in take.notices]
     result = UsdResult(
@@ -99,8 +99,8 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
     with without_usd_warnings():
         author_extents(
             job,
-            authored.has_visible_geometry,
-            authored.layers,
+            authored_layers.has_visible_geometry,
+            authored_layers.layers,
             [
                 (authored_take.report.name, authored_take.writer)
                 for authored_take in authored_takes
@@ -108,15 +108,17 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
         )
     for authored_take in authored_takes:
         authored_take.report.sampled = authored_take.writer.sampled_names
-    return authored, result
+    return authored_layers, result
 
 
-def _author_rig_and_geometry(job: UsdJob, authored: AuthoredLayers) -> list[Fault]:
+def _author_rig_and_geometry(
+    job: UsdJob, authored_layers: AuthoredLayers
+) -> list[Fault]:
     """Author the rig, its meshes and bones; return notices about the meshes."""
-    layer, rig, paths = authored.rig, job.rig, job.paths
+    layer, rig, paths = authored_layers.rig, job.rig, job.paths
     author_rig(layer, rig, job.names, paths, job.meters_per_unit)
     has_strands = any(entry.points is not None for entry in rig.attach)
-    authored.has_visible_geometry = has_strands or bool(rig.meshes)
+    authored_layers.has_visible_geometry = has_strands or bool(rig.meshes)
     notices: list[Fault] = []
     if rig.meshes:
         from animtool.usd.rigs.meshes import author_meshes
@@ -128,7 +130,7 @@ def _author_rig_and_geometry(job: UsdJob, authored: AuthoredLayers) -> list[Faul
     if job.show_bones:
         from animtool.usd.rigs.meshes import author_bones
 
-        authored.has_visible_geometry |= author_bones(
+        authored_layers.has_visible_geometry |= author_bones(
             layer, rig, paths, job.meters_per_unit
         )
     return notices
@@ -144,32 +146,32 @@ class _AuthoredTake:
 
 
 def _author_take(
-    job: UsdJob, authored: AuthoredLayers, take: UsdTake, *, is_first: bool
+    job: UsdJob, authored_layers: AuthoredLayers, take: UsdTake, *, is_first: bool
 ) -> _AuthoredTake:
     """Author a SkelAnimation with its binding; extents and curves follow later."""
-    layer, paths = authored.animation, job.paths
+    layer, paths = authored_layers.animation, job.paths
     if take.name:
         from animtool.usd.takes.library import take_paths
 
         paths = take_paths(job.paths, take.name)
     writer = AnimationWriter(layer, paths, job.joints, take.joint_mask, take.shapes)
-    if take.name or authored.rig is not layer:
-        prim_spec(layer, paths.root, over=True)
+    if take.name or authored_layers.rig is not layer:
+        prim_spec(layer, paths.root, is_over=True)
     if take.name and is_first:
-        _start_library(job, authored, take.name)
-    bind_skeleton = job.form is not LayerForm.LAYER and not take.name
-    bind_animation(layer, paths, bind_skeleton=bind_skeleton)
+        _start_library(job, authored_layers, take.name)
+    binds_skeleton = job.form is not LayerForm.LAYER and not take.name
+    bind_animation(layer, paths, binds_skeleton=binds_skeleton)
     for block in take.blocks:
         writer.add(block)
     if job.target is None:
-        writer.finish([], disable_root_motion=False)
+        writer.finish([], disables_root_motion=False)
     else:
         writer.finish(
-            job.target.placing_ops, disable_root_motion=job.target.has_root_motion
+            job.target.placing_ops, disables_root_motion=job.target.has_root_motion
         )
     report = _take_report(job, take, writer)
     if take.props is not None:
-        _author_take_props(job, authored, take, report)
+        _author_take_props(job, authored_layers, take, report)
     animation = layer.GetPrimAtPath(paths.animation)
     if take.name:
         from animtool.usd.takes.library import author_take_metadata
@@ -192,14 +194,18 @@ def _author_take(
 
 
 def _author_take_props(
-    job: UsdJob, authored: AuthoredLayers, take: UsdTake, report: WrittenTake
+    job: UsdJob, authored_layers: AuthoredLayers, take: UsdTake, report: WrittenTake
 ) -> None:
     """Author the props of a take; add them and their notices to its report."""
     from animtool.usd.props.placement import build_prop_placements
     from animtool.usd.props.writer import author_props
 
     assert take.props is not None
-    rig_layer = None if authored.rig is authored.animation else authored.rig
+    rig_layer = (
+        None
+        if authored_layers.rig is authored_layers.animation
+        else authored_layers.rig
+    )
     placements = build_prop_placements(
         job.paths,
         job.target,
@@ -210,7 +216,7 @@ def _author_take_props(
         take.rig_from_take,
     )
     report.props, report.notices = author_props(
-        authored.animation, take.props, placements, job.output
+        authored_layers.animation, take.props, placements, job.output
     )
 
 
@@ -241,13 +247,16 @@ def _take_report(job: UsdJob, take: UsdTake, writer: AnimationWriter) -> Written
     )
 
 
-def _start_library(job: UsdJob, authored: AuthoredLayers, name: str) -> None:
+def _start_library(job: UsdJob, authored_layers: AuthoredLayers, name: str) -> None:
     """Select the first take of a library; bind the skeleton outside the variants."""
-    model = authored.animation.GetPrimAtPath(job.paths.model)
+    model = authored_layers.animation.GetPrimAtPath(job.paths.model)
     model.variantSelections[TAKE_SET] = name
     if job.form is not LayerForm.LAYER:
         bind_animation(
-            authored.animation, job.paths, bind_skeleton=True, bind_source=False
+            authored_layers.animation,
+            job.paths,
+            binds_skeleton=True,
+            binds_source=False,
         )
 
 
@@ -268,25 +277,25 @@ class AuthoredLayers:
 
 def write_usd(
     job: UsdJob,
-    authored: AuthoredLayers,
+    authored_layers: AuthoredLayers,
     result: UsdResult,
     save: Callable[[Any, Path], int] = save_layer,
 ) -> None:
     """Save the layers of a job, the referencing layer last."""
     if job.output == STDOUT:
         with _without_usd_messages(result):
-            result.bytes = save(authored.animation, STDOUT)
+            result.bytes = save(authored_layers.animation, STDOUT)
         return
     result.outputs = output_paths(job.output, job.form)
-    layers = [authored.animation]
+    layers = [authored_layers.animation]
     if job.form is LayerForm.SPLIT:
         root = new_layer(job.output)
         root.subLayerPaths = [f"./{path.name}" for path in result.outputs[1::-1]]
         author_metadata(root, _stage_metadata(job, result.takes))
-        layers = [authored.rig, authored.animation, root]
+        layers = [authored_layers.rig, authored_layers.animation, root]
     with _without_usd_messages(result), atomic_outputs():
         for layer, path in zip(layers, result.outputs, strict=True):
-            save_function = save if layer is authored.animation else save_layer
+            save_function = save if layer is authored_layers.animation else save_layer
             result.bytes += save_function(layer, path)
 
 
@@ -433,7 +442,7 @@ def _layer_job(
         stream, target.placement, None, str(layer), target.skeleton.rig
     )
     take = converted_take.stream.collect()
-    mapping = map_joints(
+    joint_map = map_joints(
         take.rig, target, 0, force_fit=force_fit, converted_take=converted_take
     )
     clock = replace(
@@ -442,28 +451,28 @@ def _layer_job(
     job = UsdJob(
         form=LayerForm.LAYER,
         output=path,
-        rig=mapping.rig,
+        rig=joint_map.rig,
         names=target.names,
         joints=target.skeleton.tokens,
         paths=target.paths,
         fps=clock.fps,
-        meters_per_unit=mapping.rig.meters_per_unit,
+        meters_per_unit=joint_map.rig.meters_per_unit,
         target=target,
     )
     blocks = (
-        (codes, mapping.map_placed_motion(codes, motion))
+        (codes, joint_map.map_placed_motion(codes, motion))
         for codes, motion in _take_blocks(replace(take, clock=clock))
     )
     usd_take = UsdTake(
-        round_blocks(blocks, mapping.rig, job.meters_per_unit),
+        round_blocks(blocks, joint_map.rig, job.meters_per_unit),
         clock.start,
         clock.step,
-        joint_mask=mapping.source_joints >= 0
-        if (mapping.source_joints < 0).any()
+        joint_mask=joint_map.source_joints >= 0
+        if (joint_map.source_joints < 0).any()
         else None,
-        shapes=mapping.shapes,
+        shapes=joint_map.shapes,
     )
-    notices = target.notices + converted_take.notices + mapping.notices
+    notices = target.notices + converted_take.notices + joint_map.notices
     return job, usd_take, notices
 
 

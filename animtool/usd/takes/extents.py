@@ -121,7 +121,7 @@ def author_extents(
         if name:
             from animtool.usd.takes.library import check_variant
 
-            check_variant(stage, layers[0], writer.paths, job.where)
+            check_variant(stage, layers[0], writer.paths, job.fault_path)
 
 
 def _compose_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
@@ -195,9 +195,9 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     skeleton = UsdSkel.Skeleton(stage.GetPrimAtPath(job.paths.skeleton))
     joints = skeleton.GetJointsAttr().Get() or []
     collapsed_layer = Sdf.Layer.CreateAnonymous(".usda")
-    animation_spec = prim_spec(collapsed_layer, job.paths.animation, over=True)
+    animation_spec = prim_spec(collapsed_layer, job.paths.animation, is_over=True)
     types = Sdf.ValueTypeNames
-    attribute_spec(animation_spec, "joints", types.TokenArray, joints, uniform=True)
+    attribute_spec(animation_spec, "joints", types.TokenArray, joints, is_uniform=True)
     for name, kind, value in (
         ("translations", types.Float3Array, (0, 0, 0)),
         ("rotations", types.QuatfArray, Gf.Quatf.GetIdentity()),
@@ -246,4 +246,4 @@ def _check_binding(
             hint = STRONGER_HINT
         if stage.GetPrimAtPath(job.paths.skeleton).IsInstanceProxy():
             hint = "the rig is instanced there, and a layer cannot reach into instances"
-        raise OutputError(Fault("USD011", message, job.where, (), hint))
+        raise OutputError(Fault("USD011", message, job.fault_path, (), hint))

@@ -18,7 +18,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Motion
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.finite import ValueLabels, narrow_floats
-from animtool.usd.layers.jobs import RootPath, Rounding, WrittenBlock
+from animtool.usd.layers.jobs import RootPath, RoundingError, WrittenBlock
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
     SampleWriter,
@@ -38,7 +38,7 @@ def round_blocks(
     rig: Rig,
     meters_per_unit: float,  # unit of the layer [m]
     *,
-    root_motion: bool = False,
+    has_root_motion: bool = False,
     rig_scale: float = 1.0,
 ) -> Iterator[WrittenBlock]:
     """Yield blocks rounded to USD's precision, and the rounding errors.
@@ -49,7 +49,7 @@ def round_blocks(
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
         root_trajectory = None
-        if root_motion and rig.roots:
+        if has_root_motion and rig.roots:
             root_trajectory = _extract_root_motion(
                 rig, translations, rotations, meters_per_unit
             )
@@ -155,7 +155,9 @@ class AnimationWriter:
     joint_mask: BoolArray | None = None  # joints to write ``(J,)``; None is all
     # Names of the rig's S shapes; empty writes no weights.
     shapes: tuple[str, ...] = ()
-    rounding: Rounding = field(default_factory=Rounding)  # rounding errors so far
+    rounding: RoundingError = field(
+        default_factory=RoundingError
+    )  # rounding errors so far
     # Time codes of every sample, one array per block.
     codes: list[FloatArray] = field(default_factory=list)
     # Shape weights ``(F, S)``, one array per block; empty without shapes.
@@ -172,7 +174,7 @@ class AnimationWriter:
         self._transform_writers: dict[str, SampleWriter] = {}
         if names:
             tokens = Vt.TokenArray(names)
-            attribute_spec(spec, "joints", types.TokenArray, tokens, uniform=True)
+            attribute_spec(spec, "joints", types.TokenArray, tokens, is_uniform=True)
             self._transform_writers = {
                 name: SampleWriter(
                     attribute_spec(spec, name, kind),
@@ -189,7 +191,7 @@ class AnimationWriter:
 
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames of the animation."""
-        self.rounding.count(block)
+        self.rounding.add_block(block)
         columns = slice(None) if self.joint_mask is None else self.joint_mask
         arrays: dict[str, npt.NDArray[Any] | None] = {
             "translations": block.translations,
@@ -215,10 +217,10 @@ class AnimationWriter:
             name for name, writer in writers.items() if writer and writer.has_samples
         ]
 
-    def finish(self, placing_ops: list[str], *, disable_root_motion: bool) -> None:
+    def finish(self, placing_ops: list[str], *, disables_root_motion: bool) -> None:
         """Author constant values as defaults, and the SkelRoot's motion.
 
-        ``disable_root_motion`` removes existing root motion operations of the SkelRoot.
+        ``disables_root_motion`` removes root motion operations of the SkelRoot.
         """
         unit_scales = np.ones((self._joint_count, 3), np.float16)
         for writer in self._transform_writers.values():
@@ -227,7 +229,7 @@ class AnimationWriter:
             self._author_weights()
         if self._root_paths:
             self._author_root(placing_ops)
-        elif disable_root_motion:
+        elif disables_root_motion:
             author_xform_order(self.layer.GetPrimAtPath(self.paths.root), *placing_ops)
 
     def padded_bounds(self, padding: float | np.float32) -> list[Float32Array]:
@@ -254,7 +256,7 @@ class AnimationWriter:
         types = Sdf.ValueTypeNames
         names = list(compress(self.shapes, is_used))
         tokens = Vt.TokenArray(names)
-        attribute_spec(spec, "blendShapes", types.TokenArray, tokens, uniform=True)
+        attribute_spec(spec, "blendShapes", types.TokenArray, tokens, is_uniform=True)
         attr = attribute_spec(spec, "blendShapeWeights", types.FloatArray)
         writer = SampleWriter(attr, Vt.FloatArray.FromNumpy)
         for codes, rows in zip(self.codes, self.weights, strict=True):

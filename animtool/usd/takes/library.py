@@ -24,7 +24,7 @@ from animtool.core.names import most_similar
 from animtool.core.rates import MAX_FRAME
 from animtool.core.record import dataclass
 from animtool.usd.layers.names import TAKE_SET, RigPaths, replace_prefix
-from animtool.usd.layers.sdf import find_layer, new_layer, usd_errors
+from animtool.usd.layers.sdf import new_layer, open_layer, usd_errors
 from animtool.usd.rigs.prims import (
     find_skeletons,
     open_stage,
@@ -111,36 +111,40 @@ def find_take_set(start_prim: Any) -> TakeSet | None:
     return None
 
 
-def select_take(takes: TakeSet | None, name: str, where: str) -> TakeSet:
+def select_take(takes: TakeSet | None, name: str, file_path: str) -> TakeSet:
     """Select a take in the stage's session layer; return the updated take set."""
     if takes is None:
         message = f"unknown take {excerpt(name)}: the file is not a clip library"
         hint = f"a library has a variant set {TAKE_SET!r}"
-        raise OptionError(Fault("USD031", message, where, (), hint))
+        raise OptionError(Fault("USD031", message, file_path, (), hint))
     if name not in takes.names:
         similar_name = most_similar(name, takes.names)
         hint = f"did you mean {similar_name!r}? " if similar_name else ""
         hint += f"the takes: {listed(takes.names, 40)}"
         message = f"unknown take {excerpt(name)}"
-        raise OptionError(Fault("USD031", message, where, (), hint))
+        raise OptionError(Fault("USD031", message, file_path, (), hint))
     stage = takes.prim.GetStage()
     with Usd.EditContext(stage, stage.GetSessionLayer()):
         takes.prim.GetVariantSet(TAKE_SET).SetVariantSelection(name)
     return replace(takes, selected_name=name)
 
 
-def check_variant(stage: Any, layer: Any, paths: RigPaths, where: str | None) -> None:
+def check_variant(
+    stage: Any, layer: Any, paths: RigPaths, file_path: str | None
+) -> None:
     """Refuse a variant whose values stronger opinions override (USD032)."""
     for prim_path in sorted({paths.root, paths.binding}):
         spec = layer.GetPrimAtPath(prim_path)
         for property_spec in spec.properties if spec else ():
             path = property_spec.path.StripAllVariantSelections()
-            stack = stage.GetPropertyAtPath(path).GetPropertyStack(
+            property_stack = stage.GetPropertyAtPath(path).GetPropertyStack(
                 Usd.TimeCode.Default()
             )
-            if stack and stack[0].path != property_spec.path:
+            if property_stack and property_stack[0].path != property_spec.path:
                 message = f"{path} of the rig is stronger than that of a variant"
-                raise OutputError(Fault("USD032", message, where, (), STRONGER_HINT))
+                raise OutputError(
+                    Fault("USD032", message, file_path, (), STRONGER_HINT)
+                )
 
 
 MAX_LISTED_TAKES = 40
@@ -183,7 +187,7 @@ def merge_take(path: Path, layer: Any, paths: RigPaths, name: str) -> Any:
     The other takes and the selected take stay unchanged.
     """
     merged_layer = new_layer(path)
-    merged_layer.TransferContent(find_layer(path))
+    merged_layer.TransferContent(open_layer(path))
     model = Sdf.Path(paths.model)
     animation = Sdf.Path(f"{paths.animation}_{name}")
     variant = model.AppendVariantSelection(TAKE_SET, name)

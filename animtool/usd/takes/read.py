@@ -33,12 +33,12 @@ from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.rigs.mesh_read import bound_shapes
 from animtool.usd.rigs.placement import (
-    DROP,
+    DROP_PLACEMENT,
     NO_PLACEMENT,
     SkeletonPlacement,
     animated_ancestors,
     refuse_unsupported,
-    rest_rig,
+    rig_at_stage_placement,
     skeleton_placement,
     unit_mismatch_notice,
     unsupported_notice,
@@ -140,11 +140,11 @@ def read_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
 
 
 def read_character(
-    stage: Any, path: Path, root_path: str, choice: str | None = None
+    stage: Any, path: Path, root_path: str, placement_choice: str | None = None
 ) -> TakeStream:
     """Read the first character below a prim, or the animation of a layer without rig.
 
-    ``choice`` is its placement, as in `read_usd`.
+    ``placement_choice`` is its placement, as in `read_usd`.
     """
     skeletons = find_skeletons(stage, root_path)
     if skeletons:
@@ -165,10 +165,12 @@ def read_character(
         skeleton = rig_from_animation(animation, path, stage)
         skeleton_prim = None
     if animation is None:
-        stream, placement = _rest_take(skeleton, stage, path, skeleton_prim, choice)
+        stream, placement = _rest_take(
+            skeleton, stage, path, skeleton_prim, placement_choice
+        )
     else:
         stream, placement = _animated_take(
-            stage, path, skeleton, animation, skeleton_prim, choice
+            stage, path, skeleton, animation, skeleton_prim, placement_choice
         )
     stream.notices += skeleton.notices
     animation_prim = None if animation is None else animation.GetPrim()
@@ -178,12 +180,14 @@ def read_character(
         )
     else:
         _merge_stored_rig(stream, skeletons[0], skeleton, path)
-    where = PrimLocation.from_prim(path, skeleton_prim or animation_prim)
-    stream.rig = apply_recorded_rest(stream.rig, skeleton_prim, animation_prim, where)
-    if choice == DROP:
+    location = PrimLocation.from_prim(path, skeleton_prim or animation_prim)
+    stream.rig = apply_recorded_rest(
+        stream.rig, skeleton_prim, animation_prim, location
+    )
+    if placement_choice == DROP_PLACEMENT:
         stream = _drop_placement(stream, placement, skeleton_prim, str(path))
     else:
-        stream.rig = rest_rig(stream.rig, placement)
+        stream.rig = rig_at_stage_placement(stream.rig, placement)
     stream.notices += skipped_skeletons_notice(skeletons, str(path))
     stream.notices += composition_notices(stage, str(path))
     return stream
@@ -193,25 +197,29 @@ def _find_placement(
     prim: Any,
     rig: Rig,
     codes: list[float] | None,
-    where: PrimLocation,
-    choice: str | None,
+    location: PrimLocation,
+    placement_choice: str | None,
 ) -> tuple[SkeletonPlacement, list[Fault]]:
     """Return the placement of a Skeleton at time codes, and notices about it."""
     if prim is None:
         return NO_PLACEMENT, []
     placement = skeleton_placement(prim, rig, codes)
-    if choice != DROP:
-        refuse_unsupported(placement, where)
-    notices = unsupported_notice(placement, where)
-    notices += unit_mismatch_notice(placement, where.path or "")
+    if placement_choice != DROP_PLACEMENT:
+        refuse_unsupported(placement, location)
+    notices = unsupported_notice(placement, location)
+    notices += unit_mismatch_notice(placement, location.path or "")
     return (NO_PLACEMENT if placement.unsupported_reason else placement), notices
 
 
 def _apply_placement(
-    motion: Motion, rig: Rig, placement: SkeletonPlacement, choice: str | None
+    motion: Motion, rig: Rig, placement: SkeletonPlacement, placement_choice: str | None
 ) -> Motion:
     """Apply the stage placement of a rig to its motion."""
-    applied_placement = placement.motion if choice == DROP else placement.full
+    applied_placement = (
+        placement.motion
+        if placement_choice == DROP_PLACEMENT
+        else placement.full_placement
+    )
     if applied_placement.is_identity:
         return motion
     roots = np.array(rig.roots, np.int64)
@@ -226,12 +234,12 @@ def _drop_placement(
     Joints still include the placement that the file's customData records.
     """
     local_rig = stream.rig
-    placed_rig = rest_rig(local_rig, placement)
+    placed_rig = rig_at_stage_placement(local_rig, placement)
     source_rig = replace(placed_rig, has_animated_parents=placement.is_animated)
     stream.notices += placement_notice(
         source_rig, path, is_kept=False, is_in_joints=local_rig.has_animated_parents
     )
-    stream.rig = rest_rig(local_rig, placement, DROP)
+    stream.rig = rig_at_stage_placement(local_rig, placement, DROP_PLACEMENT)
     heading_placement = stream.rig.placement
     stream = remove_placement(stream)
     stream.rig = replace(stream.rig, has_animated_parents=False)
@@ -258,7 +266,7 @@ def _dropped_placement_reader(
             # function.
             skeleton = stage.GetPrimAtPath(prim.GetPath())
             current_placement = skeleton_placement(skeleton, rig, codes.tolist())
-        heading_placement, _ = current_placement.fixed.split(rig.up)
+        heading_placement, _ = current_placement.fixed_placement.split(rig.up)
         if recorded_placement is None:
             return heading_placement
         return heading_placement.after(recorded_placement)
@@ -315,7 +323,11 @@ def _bound_animation(skeleton: Any) -> Any:
 
 
 def _rest_take(
-    skeleton: SkeletonRig, stage: Any, path: Path, prim: Any, choice: str | None
+    skeleton: SkeletonRig,
+    stage: Any,
+    path: Path,
+    prim: Any,
+    placement_choice: str | None,
 ) -> tuple[TakeStream, SkeletonPlacement]:
     """Return a one-frame take at rest, and the placement of its Skeleton."""
     shapes = () if skeleton.tokens else bound_shapes(UsdSkel.Skeleton(prim))
@@ -329,9 +341,9 @@ def _rest_take(
         Channel.from_dense(np.zeros((1, len(shapes), 1))) if shapes else None,
     )
     placement, notices = _find_placement(
-        prim, rig, None, PrimLocation.from_prim(path, prim), choice
+        prim, rig, None, PrimLocation.from_prim(path, prim), placement_choice
     )
-    motion = _apply_placement(motion, rig, placement, choice)
+    motion = _apply_placement(motion, rig, placement, placement_choice)
     fps = rate_from_float(stage.GetTimeCodesPerSecond())
     start = time_fraction(stage.GetStartTimeCode())
     stream = TakeStream.of(Take(rig, Clock(fps, start, Fraction(1), 1), motion))
@@ -361,19 +373,21 @@ def _animated_take(
     skeleton: SkeletonRig,
     animation: Any,
     prim: Any,
-    choice: str | None,
+    placement_choice: str | None,
 ) -> tuple[TakeStream, SkeletonPlacement]:
     """Return the take of an animation, and the placement of its Skeleton."""
-    where = PrimLocation.from_prim(path, animation)
-    animation_motion = read_animation(stage, skeleton, animation, prim, where)
+    location = PrimLocation.from_prim(path, animation)
+    animation_motion = read_animation(stage, skeleton, animation, prim, location)
     ancestors = [] if prim is None else animated_ancestors(prim)
     codes = animation_motion.clock.times.tolist()
     ancestor_codes = nearest_samples(
         sample_times(ancestors), codes, animation_motion.drift
     )
     rig = skeleton.rig
-    placement, notices = _find_placement(prim, rig, ancestor_codes, where, choice)
-    motion = _apply_placement(animation_motion.motion, rig, placement, choice)
+    placement, notices = _find_placement(
+        prim, rig, ancestor_codes, location, placement_choice
+    )
+    motion = _apply_placement(animation_motion.motion, rig, placement, placement_choice)
     rig = replace(rig, shapes=tuple(Shape(name) for name in animation_motion.shapes))
     stream = TakeStream.of(Take(rig, animation_motion.clock, motion))
     stream.notices.extend([*animation_motion.notices, *notices])

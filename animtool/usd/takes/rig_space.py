@@ -19,8 +19,8 @@ from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.rigs.placement import (
-    DROP,
-    KEEP,
+    DROP_PLACEMENT,
+    KEEP_PLACEMENT,
     SkeletonPlacement,
     refuse_unsupported,
     unsupported_notice,
@@ -42,8 +42,8 @@ class RigSpaceTake:
 def convert_to_rig_space(
     stream: TakeStream,
     placement_at: Callable[[FloatArray | None], SkeletonPlacement],
-    choice: str | None,
-    where: str,
+    placement_choice: str | None,
+    file_path: str,
     local_rig: Rig,
 ) -> RigSpaceTake:
     """Return a take in the space of a rig that a stage places.
@@ -55,14 +55,14 @@ def convert_to_rig_space(
         stream: The take, with the up axis of the rig.
         placement_at: Returns the rig's stage placement at time codes; None is the
             first.
-        choice: ``keep`` or ``drop``. None drops it if the rig is placed, unless the
-            take follows an animated prim that the rig does not follow.
-        where: Path of the rig layer, for notices.
+        placement_choice: ``keep`` or ``drop``. None drops it if the rig is placed,
+            unless the take follows an animated prim that the rig does not follow.
+        file_path: Path of the rig layer, for notices.
         local_rig: The rig in local space.
     """
     rig_placement = placement_at(None)
-    location = PrimLocation(where, "")
-    if choice == KEEP:
+    location = PrimLocation(file_path, "")
+    if placement_choice == KEEP_PLACEMENT:
         refuse_unsupported(rig_placement, location)
     notices = unsupported_notice(rig_placement, location)
     scale_notices = [notice for notice in stream.notices if notice.code == "USD109"]
@@ -80,8 +80,10 @@ def convert_to_rig_space(
         ]
         stream, notices = replace(stream, notices=other_notices), []
     heading_placement, rig = rig_placement.heading_placement, stream.rig
-    is_transformed = rig_placement.is_animated or not rig_placement.fixed.is_identity
-    if choice is None and _is_rest_placed(rig, local_rig, rig_placement):
+    is_transformed = (
+        rig_placement.is_animated or not rig_placement.fixed_placement.is_identity
+    )
+    if placement_choice is None and _is_rest_placed(rig, local_rig, rig_placement):
         # The values include the rig's placement, although it is not recorded.
         rig = replace(
             rig,
@@ -89,40 +91,47 @@ def convert_to_rig_space(
             has_animated_parents=rig_placement.is_animated,
         )
         stream = replace(stream, rig=rig)
-    has_no_rest = not rig.has_rest and rig.placement is None and choice != KEEP
+    has_no_rest = (
+        not rig.has_rest
+        and rig.placement is None
+        and placement_choice != KEEP_PLACEMENT
+    )
     if has_no_rest and _has_world_lengths(
         rig, local_rig, rig_placement.upright_placement.size
     ):
-        has_no_rest, choice = False, choice or KEEP
+        has_no_rest, placement_choice = False, placement_choice or KEEP_PLACEMENT
     # Without a rest pose the take is in the space of its rig, which is this one.
     is_in_rig_space = (
         bool(rig_placement.unsupported_reason) or has_no_rest or not is_transformed
     )
     has_placement = rig_placement.is_animated or not heading_placement.is_identity
     if is_in_rig_space:
-        keep_placement = choice != DROP
+        keeps_placement = placement_choice != DROP_PLACEMENT
     else:
-        keep_placement = choice == KEEP or (
-            choice is None and (stream.rig.has_animated_parents or not has_placement)
+        keeps_placement = placement_choice == KEEP_PLACEMENT or (
+            placement_choice is None
+            and (stream.rig.has_animated_parents or not has_placement)
         )
     notices += placement_notice(
-        rig, where, is_kept=keep_placement, rig_placement=heading_placement
+        rig, file_path, is_kept=keeps_placement, rig_placement=heading_placement
     )
-    if not keep_placement:
+    if not keeps_placement:
         stream = remove_placement(stream)
     if is_in_rig_space:
         identity = Placement.from_rotation(so3.IDENTITY)
         return RigSpaceTake(stream, identity, None, notices)
     upright_placement = rig_placement.upright_placement
-    if keep_placement and rig_placement.is_animated:
+    if keeps_placement and rig_placement.is_animated:
         return RigSpaceTake(
             stream,
             upright_placement,
-            lambda codes: placement_at(codes).fixed.inverse(),
+            lambda codes: placement_at(codes).fixed_placement.inverse(),
             notices,
         )
-    inverse = (rig_placement.fixed if keep_placement else upright_placement).inverse()
-    is_needed = keep_placement or not inverse.is_identity
+    inverse = (
+        rig_placement.fixed_placement if keeps_placement else upright_placement
+    ).inverse()
+    is_needed = keeps_placement or not inverse.is_identity
     return RigSpaceTake(
         stream, upright_placement, (lambda _: inverse) if is_needed else None, notices
     )
@@ -169,12 +178,12 @@ def _is_rest_placed(
     is_root = np.array([take.joints[j].parent < 0 for j, _ in joint_pairs])
     return any(
         bool(
-            placed_errors[selected].max()
+            placed_errors[is_compared].max()
             <= REST_TOLERANCE * extent
-            < unplaced_errors[selected].max()
+            < unplaced_errors[is_compared].max()
         )
-        for selected in (np.full(len(joint_pairs), True), is_root)
-        if selected.any()
+        for is_compared in (np.full(len(joint_pairs), True), is_root)
+        if is_compared.any()
     )
 
 

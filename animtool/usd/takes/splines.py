@@ -98,12 +98,12 @@ def author_controls(
     reports = []
     for name, (control, curves) in zip(names.names, controls.items(), strict=True):
 
-        def evaluate_one(times: FloatArray, curves: Curves = curves) -> FloatArray:
+        def evaluate_curve(times: FloatArray, curves: Curves = curves) -> FloatArray:
             values: FloatArray = evaluate(curves, times)[0]
             return values
 
         report = author_curve(
-            layer, prim_path, CONTROL_NAMESPACE + name, curves, evaluate_one
+            layer, prim_path, CONTROL_NAMESPACE + name, curves, evaluate_curve
         )
         if name != control:
             path = f"{prim_path}.{CONTROL_NAMESPACE}{name}"
@@ -125,15 +125,17 @@ def author_curve(
     """
     if len(curves.pre) != 1 or not len(curves.times):
         raise ValueError("at least one curve needs a key")
-    spline, where = Ts.Spline("double"), f"{prim_path}.{name}"
-    parts = [_build_segments(curves, i) for i in range(len(curves.times) - 1)]
-    segments = [segment for segment_parts in parts for segment in segment_parts]
+    spline, attribute_path = Ts.Spline("double"), f"{prim_path}.{name}"
+    segments_by_key = [_build_segments(curves, i) for i in range(len(curves.times) - 1)]
+    segments = [
+        segment for segment_parts in segments_by_key for segment in segment_parts
+    ]
     with Ts.AntiRegressionAuthoringSelector(Ts.AntiRegressionContain):
-        for knot in _build_knots(segments, curves, where):
+        for knot in _build_knots(segments, curves, attribute_path):
             spline.SetKnot(knot)
         extrapolations = (curves.pre[0], -1), (curves.post[0], 1)
         pre_extrapolation, post_extrapolation = (
-            _build_extrapolation(mode, curves, evaluate, side, where)
+            _build_extrapolation(mode, curves, evaluate, side, attribute_path)
             for mode, side in extrapolations
         )
         spline.SetPreExtrapolation(pre_extrapolation)
@@ -143,7 +145,7 @@ def author_curve(
     attr.custom = True
     attr.SetSpline(spline)
     difference, seam = _measure_error(spline, curves, evaluate)
-    split_count = sum(len(segment_parts) > 1 for segment_parts in parts)
+    split_count = sum(len(segment_parts) > 1 for segment_parts in segments_by_key)
     return CurveReport(name, len(spline.GetKnots()), split_count, difference, seam)
 
 
@@ -244,12 +246,17 @@ def _split_bezier(points: FloatArray, u: float) -> list[FloatArray]:
 
 
 def _build_knots(
-    segments: list[_CurveSegment], curves: Curves, where: str
+    segments: list[_CurveSegment], curves: Curves, attribute_path: str
 ) -> list[Any]:
     """Return the spline knots at the ends of all segments."""
     segment_starts = [
-        (*(segment_.control_points[0] + [segment_.start_time, 0.0]).tolist(), segment_)
-        for segment_ in segments
+        (
+            *(
+                curve_segment.control_points[0] + [curve_segment.start_time, 0.0]
+            ).tolist(),
+            curve_segment,
+        )
+        for curve_segment in segments
     ]
     end_point = (float(curves.times[-1]), float(curves.values[-1]), None)
     knots = []
@@ -269,7 +276,9 @@ def _build_knots(
                 )
                 fields |= {"postTanWidth": width, "postTanSlope": slope}
         numbers = [n for n in (time, value, *fields.values()) if isinstance(n, float)]
-        check_value(numbers, "d", ValueLabels(where, f"the knot at {time:.10g}"))
+        check_value(
+            numbers, "d", ValueLabels(attribute_path, f"the knot at {time:.10g}")
+        )
         knots.append(Ts.Knot("double", time=time, value=value, **fields))
         previous = segment
     return knots
@@ -286,16 +295,18 @@ def _build_extrapolation(
     curves: Curves,
     evaluate: EvaluateCurve,
     direction: int,
-    where: str,
+    attribute_path: str,
 ) -> Any:
     extrapolation = Ts.Extrapolation(_EXTRAPOLATION[mode])
     if mode is Extrapolation.LINEAR:
-        edge = float(curves.times[0 if direction < 0 else -1])
-        magnitude = max(1.0, abs(edge), float(np.ptp(curves.times)))
-        far_time = edge + direction * 1024.0 * magnitude
-        edge_value, far_value = evaluate(np.array([edge, far_time])).tolist()
-        slope = (far_value - edge_value) / (far_time - edge)
-        check_value(slope, "d", ValueLabels(where, "the slope outside the keys"))
+        edge_time = float(curves.times[0 if direction < 0 else -1])
+        magnitude = max(1.0, abs(edge_time), float(np.ptp(curves.times)))
+        far_time = edge_time + direction * 1024.0 * magnitude
+        edge_value, far_value = evaluate(np.array([edge_time, far_time])).tolist()
+        slope = (far_value - edge_value) / (far_time - edge_time)
+        check_value(
+            slope, "d", ValueLabels(attribute_path, "the slope outside the keys")
+        )
         extrapolation.slope = slope
     return extrapolation
 

@@ -52,7 +52,7 @@ def _close_encounter(method: str) -> None:
     message = error.value.faults[-1].message
     assert error.value.code == ("SIM103" if method == "rk45" else "SIM110")
     assert "bodies 0 and 1" in message
-    assert run.step_time(run.state.steps) == pytest.approx(contact, abs=2 / 96)
+    assert run.step_time(run.state.step_count) == pytest.approx(contact, abs=2 / 96)
     x, v = run.state.state.motion
     assert np.abs(x).max() <= 0.5  # nobody was thrown out
     bound = 0.25 / np.linalg.norm(x[0] - x[1])

@@ -8,7 +8,7 @@ from adapters.hard.subsystem import Subsystem, resting_seconds
 
 from animtool.core.errors import OptionError
 from animtool.sim import IntegrateOptions
-from animtool.sim.colliders import Capsule, Collider, Plane, Poses, Sphere, Touch
+from animtool.sim.colliders import Capsule, Collider, ContactKind, Plane, Poses, Sphere
 from animtool.systems.particles import Emitter, ParticleRun, Particles, find_force
 
 __all__ = ["PARTICLES"]
@@ -140,7 +140,7 @@ def _pinched(method: str) -> None:
         assert np.abs(frame.velocities).max() <= 10.0
         if run.contacts is not None:
             touches |= set(run.contacts.touches.tolist())
-    assert Touch.UNRESOLVED in touches
+    assert ContactKind.UNRESOLVED in touches
     assert [notice.code for notice in run.notices] == ["SIM123"]
 
 

@@ -19,7 +19,7 @@ from animtool.sim import (
     find_integrator,
     integrate,
 )
-from animtool.sim.colliders import Capsule, Collider, Plane, Poses, Sphere, Touch
+from animtool.sim.colliders import Capsule, Collider, ContactKind, Plane, Poses, Sphere
 from animtool.sim.integrators.integrator import StepControl
 from animtool.systems.springs import (
     Body,
@@ -73,7 +73,7 @@ def by_integrator(
     checkpoint: Checkpoint | None = None,
 ) -> Trajectory:
     if CONTROLS[name] is StepControl.FIXED:
-        if find_integrator(name).implicit:
+        if find_integrator(name).is_implicit:
             step = max(step, LONG)
         options = IntegrateOptions(name, step=step)
     else:
@@ -268,7 +268,7 @@ def _pinched(way: str) -> None:
         checkpoint = motion.checkpoint
         assert system.contacts is not None
         touches |= set(system.contacts.touches.tolist())
-    assert Touch.UNRESOLVED in touches
+    assert ContactKind.UNRESOLVED in touches
 
 
 def check_pinched(motion: Trajectory) -> None:

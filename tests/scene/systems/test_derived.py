@@ -171,7 +171,7 @@ def test_faults_of_keys_are_at_their_places(
 def test_methods_and_steps_are_tried_against_finer_ones(tmp_path: Path) -> None:
     ((_, trial),) = system_trials([system(tmp_path)], TIMES)
     rows = measure(trial).rows
-    assert trial.chosen in trial.settings()
+    assert trial.chosen_setting in trial.settings()
     for method, order in (("euler", 1), ("midpoint", 2)):
         errors = [row.error.largest for row in rows if row.setting.method == method]
         assert len(errors) == 4
@@ -225,7 +225,7 @@ def test_copies_that_turn_are_shown_and_stopped(tmp_path: Path, speed: float) ->
         assert isinstance(frame, TransformsFrame)
         assert_allclose(np.linalg.norm(frame.rotations, axis=1), 1)
         ((_, trial),) = system_trials([system(tmp_path, copies=True)], TIMES)
-        (shot, *_) = trial.run(trial.chosen).snapshots
+        (shot, *_) = trial.run(trial.chosen_setting).snapshots
         assert shot.ids is not None
         return
     with (

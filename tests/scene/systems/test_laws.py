@@ -291,7 +291,7 @@ def test_settings_of_a_table_are_those_of_the_file(
     times = [1 / 64, 1 / 32]
     trial = simulator.trial(entry(kind), times)
     settings = trial.settings()
-    assert trial.chosen in settings
+    assert trial.chosen_setting in settings
     methods = {setting.method: setting for setting in settings}
     for setting in methods.values():
         keys = {**by_method(kind, setting.method), **dict(setting.options)}

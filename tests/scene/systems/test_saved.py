@@ -206,7 +206,7 @@ def test_particles_that_come_and_go_are_gone_on_with(
     keys |= {"tolerance": 1e-12} if method == "rk45" else {}
     whole = opened(tmp_path, **keys)
     rest = opened(tmp_path, **keys, resume="half.npz")
-    assert rest.state.steps == 25
+    assert rest.state.step_count == 25
     for t in (0.253, 0.5):
         one, again = whole.at(t), rest.at(t)
         assert len(one.ids)

@@ -83,8 +83,8 @@ def test_methods_that_choose_their_steps_have_tolerances(
     ]
     own = orbits(method="rk45", tolerance=1e-3)
     ours = trial(tmp_path, own)
-    assert ours.chosen == Setting("rk45", (("step", 0.02), ("tolerance", 1e-3)))
-    assert ours.chosen in ours.settings()
+    assert ours.chosen_setting == Setting("rk45", (("step", 0.02), ("tolerance", 1e-3)))
+    assert ours.chosen_setting in ours.settings()
 
 
 def test_energy_is_told_where_nothing_takes_or_brings_it(tmp_path: Path) -> None:
@@ -101,7 +101,7 @@ def test_energy_is_told_where_nothing_takes_or_brings_it(tmp_path: Path) -> None
         orbits(emitters=[{"bursts": [[0, 1], [0.2, 1]], "mass": 1}], forces=[]),
         orbits(forces=[{"spring": {"anchor": [0, 0, 0], "k": 1, "kd": 0.5}}]),
     ):
-        done = trial(tmp_path, setup).run(trial(tmp_path, setup).chosen)
+        done = trial(tmp_path, setup).run(trial(tmp_path, setup).chosen_setting)
         assert done.energies is None
 
 
@@ -147,7 +147,7 @@ def test_particles_that_come_and_go_are_compared_by_their_ids(tmp_path: Path) ->
 
 def test_what_cannot_serve_them_is_left_out(tmp_path: Path) -> None:
     ours = trial(tmp_path, orbits(40))
-    ours.run(ours.chosen)
+    ours.run(ours.chosen_setting)
     with raises(OptionError, "SIM024", match="120"):
         ours.run(Setting("radau", (("step", 0.02), ("tolerance", 1e-6))))
     stopped = trial(tmp_path, orbits(colliders=FLOOR))
@@ -159,8 +159,8 @@ def test_the_tolerance_of_a_file_is_for_its_own_method(tmp_path: Path) -> None:
     keys = {"name": "fish", "species": [{"name": "fish", "count": 3}]}
     keys |= {"method": "rk45", "tolerance": 1e-4}
     ours = Simulator(tmp_path).trial([{"flocks": keys}], [0.0, 0.02])
-    assert ours.chosen == Setting.of("rk45", step=0.01, tolerance=1e-4)
+    assert ours.chosen_setting == Setting.of("rk45", step=0.01, tolerance=1e-4)
     (finer,) = ours.references()
     assert {setting.method for setting in finer} == {"rk45"}
-    for setting in (ours.chosen, ours.settings()[0], finer[0]):
+    for setting in (ours.chosen_setting, ours.settings()[0], finer[0]):
         assert ours.run(setting).status is Status.OK

@@ -18,15 +18,15 @@ from animtool.maths import so3
 from animtool.sim.colliders import (
     Box,
     Capsule,
-    Collided,
     Collider,
     Colliders,
+    CollisionResult,
+    ContactKind,
     Mesh,
     Plane,
     Poses,
     Shape,
     Sphere,
-    Touch,
     collide,
 )
 
@@ -63,7 +63,7 @@ class Falling:
         self.pull = np.array([0, -gravity, 0])
         self.time = 0.0
 
-    def step(self, h: float) -> Collided:
+    def step(self, h: float) -> CollisionResult:
         x = self.x + self.v * h + self.pull * (h * h / 2)
         v = self.v + self.pull * h
         begin, self.time = self.time, self.time + h
@@ -320,7 +320,7 @@ def test_a_deep_start_leaves_without_a_pop(name: str) -> None:
         assert np.linalg.norm(sunk.x - before) <= 0.5 / 24 + 1e-9
         assert np.linalg.norm(sunk.v) < 1e-9
         if distances(collider, before)[0] < -0.1:
-            assert done.contacts.touches[0] == Touch.UNRESOLVED
+            assert done.contacts.touches[0] == ContactKind.UNRESOLVED
     assert deep < -0.1
     assert distances(collider, sunk.x)[0] >= -1e-8
 
@@ -353,7 +353,7 @@ def test_what_is_pinched_is_finite_and_said(restitution: float) -> None:
     touches = [int(pea.step(1 / 24).contacts.touches[0]) for _ in range(20)]
     assert np.isfinite(pea.x).all()
     assert np.abs(pea.v).max() <= 5
-    assert Touch.UNRESOLVED in touches
+    assert ContactKind.UNRESOLVED in touches
 
 
 def test_a_step_of_no_time_changes_nothing() -> None:

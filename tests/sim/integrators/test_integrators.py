@@ -254,7 +254,7 @@ def test_what_is_no_base_of_doubling(name: str) -> None:
 
 
 @pytest.mark.slow
-@named([each for each in STEPPED if each.symplectic])
+@named([each for each in STEPPED if each.is_symplectic])
 def test_energy_stays_in_bounds_over_thousands_of_periods(
     integrator: Integrator,
 ) -> None:
@@ -282,7 +282,7 @@ def test_energy_drifts_with_others(integrator: Integrator) -> None:
 
 
 @pytest.mark.parametrize("name", ["undamped", "pendulum"])
-@named([each for each in FIXED if not each.multistep])
+@named([each for each in FIXED if not each.is_multistep])
 def test_a_step_back_undoes_a_step(integrator: Integrator, name: str) -> None:
     motion, h = MOTIONS[name], 0.2
     assert integrator.step is not None
@@ -293,7 +293,7 @@ def test_a_step_back_undoes_a_step(integrator: Integrator, name: str) -> None:
     back = integrator.step(equations, h, there.state, -h, None)
     assert back is not None
     off = float(np.abs(back.state - start).max())
-    assert (off < 1e-13) == integrator.reversible
+    assert (off < 1e-13) == integrator.is_reversible
 
 
 @given(
@@ -304,7 +304,7 @@ def test_polynomials_are_exact_up_to_the_order(
     coefficients: list[float], h: float
 ) -> None:
     for integrator in STEPPED:
-        if integrator.form is EquationForm.ACCELERATIONS or integrator.multistep:
+        if integrator.form is EquationForm.ACCELERATIONS or integrator.is_multistep:
             continue
         rate = np.polynomial.Polynomial(coefficients[: integrator.order])
         system = RateSystem(lambda t, y, rate=rate: np.full_like(y, rate(t)), [0.3])

@@ -75,7 +75,7 @@ def test_orientations_differ_by_angles_told_by_ids() -> None:
     other = Snapshot(points[:2], ids[1:], so3.exp(np.array([[0, 0.5, 0], [0.7, 0, 0]])))
     found = run_distances([one], [other])
     assert found.angle == pytest.approx(math.sqrt((0.3**2 + 0.4**2) / 2))
-    assert found.scaled(2).angle == pytest.approx(2 * math.sqrt(0.125))
+    assert found.scaled_by(2).angle == pytest.approx(2 * math.sqrt(0.125))
     assert found.error(ErrorMeasure.RMS, 2) == pytest.approx(2 * math.sqrt(0.125))
     assert run_distances([Snapshot(points)], [Snapshot(points)]).angle is None
 

@@ -210,10 +210,10 @@ def test_a_source_that_is_known_is_a_reference_of_its_own() -> None:
 def test_a_budget_is_kept_by_the_cheapest() -> None:
     trial = replace(
         Known(converging).trial(),
-        lines=lambda setting: [f"step: {setting['step']}"],
+        request_lines=lambda setting: [f"step: {setting['step']}"],
     )
     # Of first order .05 is .05 m off at most, of second .2 is .04 m.
-    table = measure(replace(trial, error=ErrorMeasure.LARGEST), budget=0.045)
+    table = measure(replace(trial, error_measure=ErrorMeasure.LARGEST), budget=0.045)
     assert table.recommended is not None
     assert table.recommended.setting == setting("second", 0.2)
     assert (table.budget, table.lines) == (0.045, ("step: 0.2",))
@@ -228,7 +228,7 @@ def test_a_budget_is_kept_by_the_cheapest() -> None:
 
 
 def test_what_is_present_is_asked_for_by_no_lines() -> None:
-    trial = replace(Known(converging).trial(), lines=lambda _: ["never"])
+    trial = replace(Known(converging).trial(), request_lines=lambda _: ["never"])
     trial = replace(trial, settings=lambda: [])
     table = measure(trial, budget=1.0)
     assert table.recommended is table.chosen
@@ -257,7 +257,7 @@ def test_time_marks_nothing_that_costs_bytes() -> None:
     def run(seconds: float) -> Callable[[Setting], TrialOutcome]:
         return lambda one: replace(known.run(one), seconds=seconds, bytes=100)
 
-    trial = replace(known.trial(), cost=CostMeasure.BYTES)
+    trial = replace(known.trial(), cost_measure=CostMeasure.BYTES)
     quick, slow = (measure(replace(trial, run=run(t))) for t in (1e-3, 500.0))
     assert [replace(row, seconds=0) for row in quick.rows] == [
         replace(row, seconds=0) for row in slow.rows
@@ -300,7 +300,9 @@ def test_turns_count_as_far_as_what_is_placed_reaches() -> None:
         return TrialOutcome(1e-3, 1, [shot])
 
     trial = replace(Known(converging).trial(), run=run)
-    table = measure(replace(trial, references=lambda: [[trial.chosen]]), budget=0.7)
+    table = measure(
+        replace(trial, references=lambda: [[trial.chosen_setting]]), budget=0.7
+    )
     assert table.recommended is not None
     # A quarter of a turn half a metre out is .785 m.
     first = next(row for row in table.rows if row.setting.method == "first")

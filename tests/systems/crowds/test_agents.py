@@ -73,7 +73,7 @@ def test_places_of_a_file_are_seen_from_the_ground() -> None:
     population = PopulationModel.model_validate({"name": "all", "route": ["a"]})
     points = np.array([[1.0, 5, 2], [4, 0, -1]])
     sample = _sample_population(population, {"points": points}, 0.0, FRAME, 0)
-    assert_allclose(sample["starts"], [[0, 0], [3, -3]])
+    assert_allclose(sample["start_points"], [[0, 0], [3, -3]])
 
 
 def test_keys_that_do_not_fit_are_told_with_their_place() -> None:

@@ -114,7 +114,7 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
     of_all = casting.initial(going, chances)
     made = body_poses(bodies, state, some)
     turn = so3.multiply(frame.rotation, rotations_about_y(going.headings[2]))
-    found = casting.world(of_all, going, frame, bumpy, 2)
+    found = casting.joint_transforms(of_all, going, frame, bumpy, 2)
     wanted = so3.rotate(frame.rotation, joints(bodies, state, some)[1])
     np.testing.assert_allclose(found.positions[0], wanted + frame.origin, atol=1e-12)
     root = so3.multiply(turn, made.rotations[1, 0])

@@ -17,7 +17,7 @@ from animtool.core.errors import AnimtoolError
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
 from animtool.systems.crowds import crowd as crowds
-from animtool.systems.crowds.steering import GONE
+from animtool.systems.crowds.steering import DEPARTED_STAGE
 from animtool.systems.framework.run import SimulationRun
 
 FPS = 20
@@ -537,7 +537,7 @@ def test_who_fell_stays_and_who_left_is_out(
     (made,) = open_systems(simulator.scene(row).systems, 0.05)
     assert isinstance(made, SimulationRun)
     begun = made.simulation.initial()
-    stages = np.array([0, 0, GONE])
+    stages = np.array([0, 0, DEPARTED_STAGE])
     progress = replace(begun.progress, stages=stages)
     fell: Any = SimpleNamespace(agents=np.array([1]))
     seen: list[list[int]] = []

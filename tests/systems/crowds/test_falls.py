@@ -56,7 +56,7 @@ def thrown(rig: Rig, speed: list[float]) -> tuple[FallSimulator, Falls]:
     own = falling(rig)
     first = np.array([3.0, 50.0, -2.0])
     pair = [pose(rig, (first + k * STEP * np.array(speed)).tolist()) for k in (0, 1)]
-    begun = own.add_falls(own.no_falls(), np.array([1]), [pair[0]], [pair[1]], STEP)
+    begun = own.add_falls(own.empty_falls(), np.array([1]), [pair[0]], [pair[1]], STEP)
     return own, begun
 
 
@@ -90,7 +90,7 @@ def test_who_is_larger_than_the_rig_falls_as_large(biped: Rig) -> None:
     size = Placement(np.zeros((1, 3)), so3.IDENTITY[None], np.array([1.2]))
     own, large = falling(biped, 1.2), transform_rig(biped, size)
     stands = pose(large, [3.0, 50.0, -2.0])
-    falls = own.add_falls(own.no_falls(), np.array([1]), [stands], [stands], STEP)
+    falls = own.add_falls(own.empty_falls(), np.array([1]), [stands], [stands], STEP)
     assert_allclose(world(large, own, falls), stands.positions[0], atol=1e-9)
     falls = own.step(falls, 0.0, STEP)
     fell = world(large, own, falls) - stands.positions[0]
@@ -129,7 +129,7 @@ def test_who_fell_lies_on_the_ground_and_rests(biped: Rig) -> None:
     leaning = WorldTransforms(
         (standing.positions - at) @ tilt.T + at, tilt @ standing.linear
     )
-    falls = own.add_falls(own.no_falls(), np.array([0]), [leaning], [leaning], STEP)
+    falls = own.add_falls(own.empty_falls(), np.array([0]), [leaning], [leaning], STEP)
     for k in range(3 * 96):
         falls = own.step(falls, k * STEP, STEP)
         if (falls.slow >= REST_TIME).all():
@@ -153,7 +153,7 @@ def test_who_begins_to_fall_goes_on_as_he_moved(biped: Rig) -> None:
         turns[0] = so3.exp(np.array([0.0, 2.0 * t, 0.0]))
         turns[knee] = so3.exp(np.array([0.5 + 4.0 * t, 0.0, 0.0]))
         pair.append(forward_kinematics(biped, places[None], turns[None]))
-    falls = own.add_falls(own.no_falls(), np.array([0]), [pair[0]], [pair[1]], STEP)
+    falls = own.add_falls(own.empty_falls(), np.array([0]), [pair[0]], [pair[1]], STEP)
     assert_allclose(falls.positions[0], pair[0].positions[0])
     assert_allclose(world(biped, own, falls), pair[0].positions[0], atol=1e-9)
     falls = own.step(falls, 0.0, STEP)
@@ -171,7 +171,7 @@ def test_who_walks_beyond_his_limits_is_not_pulled_back_as_he_falls(
     places = biped.rest_translations.copy()
     places[0] = [3.0, 50.0, -2.0]
     stands = forward_kinematics(biped, places[None], turns[None])
-    falls = own.add_falls(own.no_falls(), np.array([0]), [stands], [stands], STEP)
+    falls = own.add_falls(own.empty_falls(), np.array([0]), [stands], [stands], STEP)
     for k in range(2):
         shown = own.poses(falls, 0)[1][foot]
         assert np.degrees(so3.angle_between(shown, turns[foot])) < 0.01
@@ -182,7 +182,7 @@ def test_joints_of_who_is_torn_apart_are_shown_as_they_can_be(biped: Rig) -> Non
     """A toe that is turned about x by 150 degrees and out by 60: it ends at 30."""
     own, toe = falling(biped), biped.index("toe_r")
     stands = pose(biped, [3.0, 50.0, -2.0])
-    falls = own.add_falls(own.no_falls(), np.array([0]), [stands], [stands], STEP)
+    falls = own.add_falls(own.empty_falls(), np.array([0]), [stands], [stands], STEP)
     ragdoll = own._ragdoll(0, falls.positions[0], falls.turns[0])[0]
     body = ragdoll.joints.tolist().index(toe)
     torn = so3.multiply(

@@ -15,8 +15,8 @@ from animtool.systems.crowds.building import read_ground
 from animtool.systems.crowds.ground import (
     GroundFrame,
     Terrain,
+    find_walkable_nodes,
     rotations_about_y,
-    walkable,
 )
 
 # A slope of 1 in 2 along x from (0, 0) to (4, 2), a floor over a part, and a wall.
@@ -69,7 +69,7 @@ def test_agents_walk_up_to_a_slope_and_not_where_there_is_no_ground() -> None:
     ground = Terrain(np.array(SLOPE[:2], float))
     nodes = np.array([[a, b] for a in range(6) for b in range(3)], float)
     for slope, free in ((0.47, True), (0.46, False)):
-        heights, walked = walkable(ground, nodes, (6, 3), 1.0, slope)
+        heights, walked = find_walkable_nodes(ground, nodes, (6, 3), 1.0, slope)
         assert_allclose(heights[:5], [[k / 2] * 3 for k in range(5)], atol=1e-12)
         assert (walked[:5] == free).all()
         assert not walked[5].any()

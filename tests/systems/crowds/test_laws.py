@@ -58,7 +58,7 @@ def test_rows_between_rows_and_behind_the_last(columns: int) -> None:
     found = sample_rows(table, at)[:, 1, 0]
     assert_allclose(found[:3], [1.0, quarter, half])
     assert_allclose(found[3], 0.5)
-    again = sample_rows(table, at[:4], cyclic=True)[:, 0, 0]
+    again = sample_rows(table, at[:4], is_cyclic=True)[:, 0, 0]
     assert_allclose(again[3], 0.75)
 
 
@@ -99,7 +99,9 @@ def test_a_foot_lands_on_its_side_of_the_other_where_that_is_near(
     own = Footing(gaits, np.array([size]), level)
     places = np.zeros((1, 2, 3))
     places[0, 1 - k, :2] = 3.0, 4.0 - size * other
-    found = own.landing(k, blend, np.array([[3.0, 4.0]]), np.array([np.pi / 2]), places)
+    found = own.find_landings(
+        k, blend, np.array([[3.0, 4.0]]), np.array([np.pi / 2]), places
+    )
     ahead, yaw = steps[0, k, 1:]
     expected = [3 + size * ahead, 4 - size * x, np.pi / 2 + yaw]
     assert_allclose(found, [expected], atol=1e-12)

@@ -56,10 +56,10 @@ def test_walls_are_those_near_and_say_how_fast_one_may_come() -> None:
     assert walls.agents_of_walls.tolist() == [0, 2, 3]
     assert walls.first_walls.tolist() == [0, 1, 1, 2, 3]
     assert_allclose(walls.gaps, [0.4, -0.2, -0.4])
-    assert_allclose(walls.rows[:, 2], [-0.8, 0.4, 0.8])
-    assert_allclose(walls.rows[:, :2], [[0.8, -0.6], [0, 1], [0, 0]], atol=1e-12)
+    assert_allclose(walls.half_planes[:, 2], [-0.8, 0.4, 0.8])
+    assert_allclose(walls.half_planes[:, :2], [[0.8, -0.6], [0, 1], [0, 0]], atol=1e-12)
     places = [1.9 * 0.8 - 1.7 * 0.6 - 0.4, 4.1 + 0.2, 0.4]
-    assert_allclose(walls.rows[:, 3], places)
+    assert_allclose(walls.half_planes[:, 3], places)
     none = shut([0, 9]).walls(1.0, 0.1, x)
     assert none.first_walls.tolist() == [0] * 5
-    assert none.rows.shape == (0, 4)
+    assert none.half_planes.shape == (0, 4)

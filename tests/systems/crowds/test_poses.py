@@ -121,7 +121,7 @@ def test_feet_in_the_air_lean_as_those_of_the_clip() -> None:
 def test_feet_that_stand_lean_as_the_ground_does() -> None:
     """A foot that looks along x stands on ground that rises along z."""
     gaits, state, blend = swinging([-1.0], [0.0])
-    bodies: Any = SimpleNamespace(gaits=gaits, pitches=lambda *_: np.zeros(1))
+    bodies: Any = SimpleNamespace(gaits=gaits, heel_pitches=lambda *_: np.zeros(1))
     feet = np.tile([1.0, 2.0, 3.0, np.pi / 2], (1, 2, 1))
     normal = np.array([0.0, np.cos(0.2), -np.sin(0.2)])
     goals, soles = _ankle_targets(

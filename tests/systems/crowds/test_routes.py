@@ -19,7 +19,7 @@ def grid(*rows: str) -> NavGrid:
 def test_nodes_are_numbered_along_z_and_then_x() -> None:
     own = grid("....", "....", "....")
     assert_allclose(
-        NavGrid.nodes(LOW, 0.5, (2, 2)),
+        NavGrid.all_positions(LOW, 0.5, (2, 2)),
         [[10, -4], [10, -3.5], [10.5, -4], [10.5, -3.5]],
     )
     assert_allclose(
@@ -48,13 +48,15 @@ def test_who_is_outside_faces_the_sides_that_he_is_beyond() -> None:
         ([10.5, -1.9], [3, 7, 11]),
         ([9.0, -9.0], [0, 1, 2, 3, 4, 8]),
     ):
-        assert own.border_facing(np.array(point)).tolist() == nodes
+        assert own.border_nodes_facing(np.array(point)).tolist() == nodes
 
 
 def test_edges_are_half_a_cell_from_what_is_not_free() -> None:
     """Of a hall of 3 by 5 nodes: its sides are a cell from the nodes at them."""
     own = grid(".....", ".....", ".....")
-    gaps, ways = own.edges(np.array([[10.5, -3.0], [10.0, -3.0], [10.25, -3.0]]))
+    gaps, ways = own.obstacle_distances(
+        np.array([[10.5, -3.0], [10.0, -3.0], [10.25, -3.0]])
+    )
     assert_allclose(gaps, [0.75, 0.25, 0.5])
     assert_allclose(ways[1:], [[1, 0], [1, 0]])
     rows, columns, shares = own.cell_corners(np.array([[10.1, -3.6], [99.0, -99.0]]))
@@ -82,7 +84,7 @@ def test_ways_go_round_walls_and_end_at_the_goal_or_the_node_next_to_it() -> Non
     )
     # Straight ahead what is seen, and along the wall what is not.
     points = np.array([[10.0, -3.0], [11.0, -4.0]])
-    found = route.directions(points, np.array([goal, goal]))
+    found = route.path_directions(points, np.array([goal, goal]))
     assert_allclose(found[0], [0, -1], atol=1e-9)
     assert found[1, 1] > 0.7
 
@@ -98,5 +100,5 @@ def test_a_way_longer_by_up_to_a_cell_and_a_half_is_straight() -> None:
         far -= 0.1 * np.arange(5)
         far[0, 0] = np.sqrt(2) + longer * 0.5
         goals = np.array([[0.0, 0.0], goal[0]])
-        found = FlowField(own, goals, far).directions(point, goal)
+        found = FlowField(own, goals, far).path_directions(point, goal)
         assert_allclose(found, [way], atol=1e-9)

@@ -108,4 +108,4 @@ def test_the_chest_turns_as_far_and_the_head_looks_ahead() -> None:
 
     assert turned("spine_4") == pytest.approx(MAX_YAW)
     assert turned("head") == pytest.approx(0.0, abs=1e-6)
-    assert set(bodies.trunk.joints) <= set(bodies.animated)
+    assert set(bodies.trunk.joints) <= set(bodies.animated_joints)

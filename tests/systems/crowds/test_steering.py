@@ -21,11 +21,11 @@ def steering(count: int, then: str = "stay", **keys: Any) -> Steering:
     )
     given: dict[str, Any] = {
         "entries": [population],
-        "ends": [count],
-        "starts": np.zeros((count, 2)),
+        "end_indices": [count],
+        "start_points": np.zeros((count, 2)),
         "speeds": np.full(count, 1.2),
         "max_speeds": np.full(count, 2.0),
-        "yielding": np.ones(count),
+        "yield_weights": np.ones(count),
         "delays": np.zeros(count),
         "groups": np.full(count, -1, np.int32),
         "lateral_offsets": np.zeros(count),

@@ -19,7 +19,7 @@ from animtool.maths import so3
 from animtool.motion.frames import TransformsFrame
 from animtool.scene.systems.run import SystemRun
 from animtool.scene.systems.simulation import open_systems
-from animtool.systems.flocks.spacing import min_distance
+from animtool.systems.flocks.rules import min_distance
 from animtool.systems.flocks.spec import SpeciesModel
 from animtool.systems.framework.run import ReachedState, SimulationRun
 

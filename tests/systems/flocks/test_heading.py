@@ -32,16 +32,16 @@ from animtool.systems.flocks.members import (
 )
 from animtool.systems.flocks.rules import (
     FlockRule,
+    Spacing,
     build_rules,
     check_pair_count,
     max_pairs,
     rule_accelerations,
 )
-from animtool.systems.flocks.spacing import Spacing
 from animtool.systems.flocks.spec import FlocksModel, SpeciesModel
 from animtool.systems.flocks.steering import limit_steering
 from animtool.systems.particles import BoxShape, Point, find_force
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 QUIET = {k: {"weight": 0} for k in ("attraction", "alignment", "repulsion", "speed")}
 ACROSS = np.array([1.0, 0.0, 0.0])
@@ -73,7 +73,7 @@ def test_who_begins_looks_along_its_way_and_upright() -> None:
     side = so3.rotate(found.rotations, ACROSS)
     assert_allclose(side, [[0.8, 0, -0.6], ACROSS, ACROSS, ACROSS], atol=1e-9)
     assert_array_equal(found.spins, np.zeros((4, 3)))
-    every = np.concatenate([uniforms(k, np.arange(2), 1)[:, 0] for k in (3, 8)])
+    every = np.concatenate([uniform_samples(k, np.arange(2), 1)[:, 0] for k in (3, 8)])
     assert_array_equal(found.phases, every)
 
 
@@ -118,8 +118,8 @@ def test_each_shows_a_mesh_of_its_species_by_its_phase() -> None:
 def test_members_are_counted_by_their_species() -> None:
     big = species(name="big", radius=0.5, mass=3.0)
     own = members(np.arange(12.0).reshape(4, 3), species(radius=0.1, mass=2.0), big)
-    assert own.kinds.tolist() == [0, 0, 1, 1]
-    assert own.rows_by_entry == [slice(0, 2), slice(2, 4)]
+    assert own.entry_indices.tolist() == [0, 0, 1, 1]
+    assert own.ranges_by_entry == [slice(0, 2), slice(2, 4)]
     assert own.radii.tolist() == [0.1, 0.1, 0.5, 0.5]
     seen = own.particles
     assert seen.masses.tolist() == [2, 2, 3, 3]
@@ -176,7 +176,9 @@ def test_those_of_a_place_go_their_way_by_their_cruise() -> None:
     model = species(count=3, seed=5, speed={"cruise": 4}, direction=[3, 0, 4], spread=0)
     parts = {"place": BoxShape((2, 2, 2)), "poses": Poses.fixed((7, 8, 9))}
     x, v = _start_motion(model, parts, 1.5)
-    assert_allclose(x, [7, 8, 9] + 2 * uniforms(5, 2**40 + np.arange(3), 8)[:, :3] - 1)
+    assert_allclose(
+        x, [7, 8, 9] + 2 * uniform_samples(5, 2**40 + np.arange(3), 8)[:, :3] - 1
+    )
     assert_allclose(v, [[2.4, 0, 3.2]] * 3)
     ahead = _start_motion(species(count=1, speed={"cruise": 4}, spread=0), parts, 0.0)[
         1
@@ -260,15 +262,15 @@ def test_rules_without_an_effect_are_left_out() -> None:
     for one in none:
         kept = species(**{**none, one: {"weight": 2.0}})
         (rule,) = build_rules(members(rows, kept))
-        assert rule.members is rule.others is None
+        assert rule.members is rule.targets is None
     whole = {"vision": {"radius": 3, "angle": 360}}
     friends = [species(**whole, joins=["b"]), species(name="b", joins=[])]
     one, other = build_rules(members(rows, *friends))
     assert one.members is not None
-    assert (one.members.tolist(), one.others, one.cosine) == ([0, 1], None, -1.0)
+    assert (one.members.tolist(), one.targets, one.view_cosine) == ([0, 1], None, -1.0)
     assert (one.nearest, one.radius) == (friends[0].vision.nearest or 0, 3)
-    assert other.others is not None
-    assert other.others.tolist() == [2, 3]
+    assert other.targets is not None
+    assert other.targets.tolist() == [2, 3]
     # Nobody is there to heed.
     empty = Members(friends, [4, 4], [{}] * 2, 0.0, rows, rows)
     (first,) = build_rules(empty)
@@ -292,22 +294,24 @@ def test_pulls_of_all_rules_add_up_for_those_that_they_are_of() -> None:
 def test_as_many_pairs_as_each_may_have_are_looked_at() -> None:
     assert max_pairs(10) == 2e9
     assert max_pairs(200_000) == 4e9
-    check_pair_count(3, 10.0, 10.0, "")
+    check_pair_count(3, 2e9, "")
     with pytest.raises(ToleranceError, match="3 members are so close") as error:
-        check_pair_count(3, 10.1, 10.0, "")
+        check_pair_count(3, 2e9 + 1, "")
     assert error.value.code == "SIM107"
 
 
 def test_nobody_keeps_a_distance_alone_or_without_a_size() -> None:
     rows = np.arange(6.0).reshape(2, 3)
     least = {"repulsion": {"weight": 0, "least": 0.4}}
-    assert Spacing.of(members(rows[:1], species(radius=0.3)), None) is None
-    assert Spacing.of(members(rows, species()), None) is None
+    assert Spacing.for_members(members(rows[:1], species(radius=0.3)), None) is None
+    assert Spacing.for_members(members(rows, species()), None) is None
     for model, each in ((species(radius=0.3), 0.6), (species(**least), 0.4)):
-        own = Spacing.of(members(rows, model), None)
+        own = Spacing.for_members(members(rows, model), None)
         assert own is not None
         assert own.distances.tolist() == [each] * 2
-    mixed = Spacing.of(members(rows, species(), species(name="b", radius=0.3)), None)
+    mixed = Spacing.for_members(
+        members(rows, species(), species(name="b", radius=0.3)), None
+    )
     assert mixed is not None
     assert mixed.distances.tolist() == [0, 0.6]
     # Of two the mean of both, and a hair more; each goes half of the way.
@@ -381,7 +385,7 @@ def test_members_that_show_a_cycle_are_turned_from_the_beginning_on() -> None:
     made = flock([[0, 0, 0], [5, 0, 0]], [[3, 0, 0], [0, 0, 4]], shows=cycle, beat=2)
     state = made.initial()
     frame = made.frame(state, 0.0)
-    u = uniforms(0, np.arange(2), 1)[:, 0]
+    u = uniform_samples(0, np.arange(2), 1)[:, 0]
     assert frame.mesh_indices.tolist() == np.floor(u * 4).tolist()  # type: ignore[union-attr]
     assert len(frame.meshes) == 4  # type: ignore[union-attr]
     later = made.step(state, 0.0, 0.125)
@@ -418,7 +422,7 @@ def test_who_sees_a_narrow_part_sees_no_more() -> None:
     rows = np.arange(6.0).reshape(2, 3)
     for angle, cosine in ((36.0, 0.9510565), (180.0, 0.0), (360.0, -1.0)):
         (rule,) = build_rules(members(rows, species(vision={"angle": angle})))
-        assert rule.cosine == pytest.approx(cosine, abs=1e-6)
+        assert rule.view_cosine == pytest.approx(cosine, abs=1e-6)
 
 
 def test_all_species_that_cannot_begin_are_told_at_once() -> None:
@@ -427,9 +431,9 @@ def test_all_species_that_cannot_begin_are_told_at_once() -> None:
     place = {"place": BoxShape((9.0, 9.0, 9.0)), "poses": Poses.fixed()}
     wrong = {**place, "velocities": np.zeros((2, 3)), "points": np.zeros((3, 3))}
     with pytest.raises(AnimtoolError) as error:
-        Members.of(spec, [wrong, place, wrong], 0.0)
+        Members.from_spec(spec, [wrong, place, wrong], 0.0)
     faults = error.value.faults
     assert [fault.code for fault in faults] == ["SIM060", "SIM060"]
     assert ["'a'" in faults[0].message, "'c'" in faults[1].message] == [True, True]
-    good = Members.of(spec, [place] * 3, 0.0)
-    assert good.ends == [2, 4, 6]
+    good = Members.from_spec(spec, [place] * 3, 0.0)
+    assert good.end_indices == [2, 4, 6]

@@ -12,8 +12,7 @@ from animtool.core.errors import Severity
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses, Sphere
 from animtool.systems.flocks.flock import FlockForces
 from animtool.systems.flocks.members import Members
-from animtool.systems.flocks.rules import build_rules, periodic_box
-from animtool.systems.flocks.spacing import Spacing
+from animtool.systems.flocks.rules import Spacing, build_rules, periodic_box
 from animtool.systems.flocks.spec import DomainModel, SpeciesModel
 from animtool.systems.flocks.steering import (
     avoidance_accelerations,
@@ -246,7 +245,7 @@ def test_rules_are_of_half_the_angle_and_no_farther_than_they_see() -> None:
     keys = {"attraction": {"weight": 1, "radius": 5}, "alignment": {"weight": 2}}
     repulsion = {"weight": 3, "radius": 0.5, "softening": 0.2}
     (rule,) = build_rules(members({"vision": vision, **keys, "repulsion": repulsion}))
-    assert rule.cosine == pytest.approx(-np.sin(np.radians(10)))
+    assert rule.view_cosine == pytest.approx(-np.sin(np.radians(10)))
     assert (rule.radius, rule.nearest, rule.softening) == (2, 7, 0.2)
     assert rule.attraction == (1, 2)
     assert rule.alignment == (2, 2)
@@ -260,11 +259,11 @@ def test_who_flees_and_who_chases_heeds_the_other_species_alone() -> None:
     own = members({**none, "flees": flees}, {**none, "chases": chases}, count=2)
     away, after = build_rules(own)
     assert away.members is not None
-    assert away.others is not None
-    assert (away.members.tolist(), away.others.tolist()) == ([0, 1], [2, 3])
+    assert away.targets is not None
+    assert (away.members.tolist(), away.targets.tolist()) == ([0, 1], [2, 3])
     assert (away.repulsion, away.radius, away.nearest) == ((40, 6), 6, 0)
-    assert after.others is not None
-    assert after.others.tolist() == [0, 1]
+    assert after.targets is not None
+    assert after.targets.tolist() == [0, 1]
     assert (after.attraction, after.radius, after.nearest) == ((3, 20), 20, 1)
 
 

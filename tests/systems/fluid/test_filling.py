@@ -26,8 +26,8 @@ from animtool.systems.fluid.filling import (
     _check_outside,
     _lattice_points,
     coarse_drop_warnings,
+    find_clear_points,
     initial_fluid,
-    is_clear,
 )
 from animtool.systems.fluid.spec import FluidModel
 
@@ -222,10 +222,10 @@ def test_who_has_room_is_six_tenths_of_a_spacing_from_others_and_in_no_wall() ->
     x = np.array(
         [[0.061, 0, 0], [0.059, 0, 0], [0, 0, -0.059], [1, 0.02, 0], [1, 1, 1]]
     )
-    found = is_clear(x, others, NONE, 0.0, 0.1)
+    found = find_clear_points(x, others, NONE, 0.0, 0.1)
     assert found.tolist() == [True, False, False, True, True]
     floor = Colliders([Collider(Plane(), Poses.fixed((0, 0.02, 0)))])
-    found = is_clear(x, others[1:], floor, 0.0, 0.1)
+    found = find_clear_points(x, others[1:], floor, 0.0, 0.1)
     assert found.tolist() == [False, False, False, True, True]
-    assert is_clear(x, others[:0], NONE, 0.0, 0.1).all()
-    assert len(is_clear(x[:0], others, floor, 0.0, 0.1)) == 0
+    assert find_clear_points(x, others[:0], NONE, 0.0, 0.1).all()
+    assert len(find_clear_points(x[:0], others, floor, 0.0, 0.1)) == 0

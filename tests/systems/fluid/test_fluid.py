@@ -64,7 +64,7 @@ def lattice(*counts: int) -> np.ndarray:
 
 
 def densities(points: np.ndarray, *colliders: Collider) -> np.ndarray:
-    arrays = Colliders(colliders).arrays(0.0, 0.0)
+    arrays = Colliders(colliders).kernel_arrays(0.0, 0.0)
     return _kernels.fluid_densities(arrays, points, 0.1)
 
 
@@ -259,7 +259,7 @@ def test_viscosity_slows_shear_as_the_laplacian_says() -> None:
     speeds[:, 0] = 1e-3 * np.sin(k * points[:, 1])
     step, nu = 0.01, 0.02
     none = (np.zeros((0, 13)), np.stack([points, speeds]), np.zeros_like(points))
-    arrays = Colliders([]).arrays(0.0, step)
+    arrays = Colliders([]).kernel_arrays(0.0, step)
     state, *_ = _kernels.fluid_steps(
         arrays, np.zeros(0, np.int32), *none, 0.1, 1000.0, nu, 0.0, 5.0, step, 4
     )

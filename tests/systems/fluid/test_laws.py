@@ -253,7 +253,9 @@ def test_sheets_are_looked_at_before_they_moved_half_a_spacing() -> None:
         (0.1, 99, 0.01, 1),
         (0.1, 99, 0.1, 2),
     ):
-        around = SimpleNamespace(sheets=[1], surfaces=SimpleNamespace(fastest=fastest))
+        around = SimpleNamespace(
+            sheets=[1], surfaces=SimpleNamespace(max_speed=fastest)
+        )
         assert own.collision_substeps(around, parts, dt) == pieces  # type: ignore[arg-type]
     assert own.collision_substeps(Colliders([]), 9, 1.0) == 1
 
@@ -351,7 +353,7 @@ def test_density_is_that_of_where_particles_are() -> None:
     near = np.array([[0.0, 0, 0], [0.3, 0, 0], [9, 9, 9]])
     own = fluid(near, 5 * V, primvars=["density"])
     found = own.frame(own.initial(), 1.0).primvars["density"]
-    arrays = Colliders([]).arrays(1.0, 1.0)
+    arrays = Colliders([]).kernel_arrays(1.0, 1.0)
     assert_allclose(found, _kernels.fluid_densities(arrays, near, 0.5))
     assert found[0] == pytest.approx(found[1])
     assert 0 < found[2] < found[0]

@@ -180,7 +180,7 @@ def test_a_joint_counts_what_it_moves_by(tmp_path: Path, kind: str, units: str) 
 
 def test_a_force_that_goes_with_a_power_of_the_distance() -> None:
     given = {"strength": 3.0, "power": -2.0, "centre": [1, 2, 3]}
-    found = SceneUnits.of("cm", None).convert_options("central", given)
+    found = SceneUnits.from_names("cm", None).convert_options("central", given)
     # At 100 cm it is 3 / 100² cm/s².
     assert found["strength"] == pytest.approx(3 / 100**2 * 0.01)
     assert found["centre"] == [0.01, 0.02, 0.03]

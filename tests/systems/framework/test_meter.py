@@ -67,7 +67,7 @@ def test_the_deepest_is_kept_with_frame_point_and_place() -> None:
 
 def test_what_starts_inside_is_to_be_moved() -> None:
     for first, hint in ((0.0, "move it out"), (-1.0, "slower motion")):
-        meter = ContactMeter(seconds=True)
+        meter = ContactMeter(uses_seconds=True)
         if first:
             meter.measure(first, SHEET + 9 * ALONG, sides(SHEET), [CUBE])
         meter.measure(0.0, SHEET, sides(SHEET), [CUBE])

@@ -9,7 +9,7 @@ from support.faults import raises
 from animtool.core.errors import Fault, OptionError, ToleranceError, warning
 from animtool.motion.frames import PointsFrame
 from animtool.systems.framework.run import SimulationRun
-from animtool.systems.framework.simulation import Diagnostics, Stepped
+from animtool.systems.framework.simulation import Diagnostics, SteppedState
 
 
 class Counter:
@@ -21,12 +21,12 @@ class Counter:
     def initial(self) -> float:
         return 0.0
 
-    def step(self, state: float, *_: float) -> Stepped[float]:
+    def step(self, state: float, *_: float) -> SteppedState[float]:
         after = state + 1.0
         place = after if after <= self._largest else np.nan
         odd = warning("SIM137", f"step {after:g}") if after % 2 else None
         even = warning("SIM138", f"step {after:g}")
-        return Stepped(place, (), [even, *([odd] if odd else []), even])
+        return SteppedState(place, (), [even, *([odd] if odd else []), even])
 
     def frame(self, state: float, *_: float) -> PointsFrame:
         points = np.array([[state, 0.0, 0.0]])
@@ -37,8 +37,10 @@ class Counter:
 
 
 class ManyCounter(Counter):
-    def steps(self, state: float, t: float, dt: float, count: int) -> Stepped[float]:
-        return Stepped(state + count, (), self.step(state, t, dt).notices)
+    def steps(
+        self, state: float, t: float, dt: float, count: int
+    ) -> SteppedState[float]:
+        return SteppedState(state + count, (), self.step(state, t, dt).notices)
 
 
 def told(run: SimulationRun) -> list[tuple[str, str]]:
@@ -69,8 +71,8 @@ def test_a_step_that_is_not_finite_names_a_shorter_one() -> None:
 
 def test_a_number_that_no_file_holds_is_a_blow_up() -> None:
     class Far(Counter):
-        def step(self, *_: float) -> Stepped[float]:
-            return Stepped(1e31)
+        def step(self, *_: float) -> SteppedState[float]:
+            return SteppedState(1e31)
 
     run = SimulationRun("it", Far(), 0.0, 0.1)
     with raises(ToleranceError, "SIM102"):

@@ -18,15 +18,15 @@ from animtool.scene.systems.simulation import open_systems
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.molecules.atoms import (
-    BOLTZMANN,
-    COULOMB,
+    BOLTZMANN_CONSTANT,
+    COULOMB_CONSTANT,
     Atoms,
     PeriodicBox,
     _read_motion,
     pair_coefficients,
 )
 from animtool.systems.molecules.molecules import (
-    MEGAPASCALS,
+    MEGAPASCALS_PER_UNIT,
     Interactions,
     Molecules,
     MoleculeState,
@@ -72,7 +72,7 @@ def test_a_crystal_has_the_energy_and_pressure_of_its_lattice() -> None:
     assert values["potential_energy"] / 4000 + beyond == pytest.approx(each, rel=2e-4)
     assert values["temperature"] == 0
     virial = 2 * 0.9961 * (12 * 12.13188 / near**12 - 6 * 14.45392 / near**6)
-    pressure = (virial + 2 * 3 * beyond) * 4 / 0.54**3 / 3 * MEGAPASCALS
+    pressure = (virial + 2 * 3 * beyond) * 4 / 0.54**3 / 3 * MEGAPASCALS_PER_UNIT
     assert values["pressure"] == pytest.approx(pressure, rel=2e-2)
 
 
@@ -87,7 +87,9 @@ def test_salt_has_the_energy_of_its_lattice() -> None:
         species=ions, box=[side] * 3, lattice="cubic", cutoff=2.2, damping=1.5
     )
     energy = made.values(made.initial(), 0.0)["potential_energy"]
-    assert -energy / 2048 * 0.282 / COULOMB == pytest.approx(1.747565, rel=2e-3)
+    assert -energy / 2048 * 0.282 / COULOMB_CONSTANT == pytest.approx(
+        1.747565, rel=2e-3
+    )
 
 
 def drift(steps: int) -> float:
@@ -124,9 +126,9 @@ def test_a_bath_brings_its_temperature_and_its_spread() -> None:
         factor = thermostat_factor(bath, 5, step, 1.0, 0.1, kinetic, freedom)
         kinetic *= factor**2
         found.append(kinetic)
-    mean = freedom * BOLTZMANN * 100 / 2
+    mean = freedom * BOLTZMANN_CONSTANT * 100 / 2
     assert np.mean(found[100:]) == pytest.approx(mean, rel=0.02)
-    spread = np.sqrt(freedom / 2) * BOLTZMANN * 100
+    spread = np.sqrt(freedom / 2) * BOLTZMANN_CONSTANT * 100
     assert np.std(found[100:]) == pytest.approx(spread, rel=0.05)
     cold = ThermostatModel(temperatures=[[0, 0]], relaxation=0.2)
     factor = thermostat_factor(cold, 5, 1, 1.0, 0.2, 1.0, freedom)
@@ -350,14 +352,14 @@ def test_atoms_of_unequal_mass_are_as_warm_and_rest_as_a_whole() -> None:
     spec = MoleculesModel(
         name="it", species=kinds, box=[4, 4, 4], step=0.001, temperature=120
     )
-    atoms = Atoms.of(spec, [{}, {}], PeriodicBox(spec))
+    atoms = Atoms.from_spec(spec, [{}, {}], PeriodicBox(spec))
     m, v = atoms.masses, atoms.velocities
     assert np.abs(m @ v).max() < 1e-10 * (m @ np.abs(v)).max()
     twice = m * (v**2).sum(axis=1)
     # Three of the degrees of freedom are those of the whole.
-    assert twice.sum() / ((3 * 512 - 3) * BOLTZMANN) == pytest.approx(120)
+    assert twice.sum() / ((3 * 512 - 3) * BOLTZMANN_CONSTANT) == pytest.approx(120)
     for kind in (0, 1):
-        own = twice[atoms.kinds == kind].mean() / (3 * BOLTZMANN)
+        own = twice[atoms.entry_indices == kind].mean() / (3 * BOLTZMANN_CONSTANT)
         assert own == pytest.approx(120, rel=0.1)
 
 
@@ -368,11 +370,11 @@ def test_what_is_reported_of_a_few_atoms_leaves_out_the_whole() -> None:
     state = made.initial()
     values = made.values(state, 0.0)
     assert values["temperature"] == pytest.approx(90)
-    assert values["kinetic_energy"] == pytest.approx(4.5 * BOLTZMANN * 90)
+    assert values["kinetic_energy"] == pytest.approx(4.5 * BOLTZMANN_CONSTANT * 90)
     # Of each alone it is over three.
     squares = (state.motion[1] ** 2).sum(axis=1)
     found = made._quantities(state, 0.0)
-    own = 20 * squares / (3 * BOLTZMANN)
+    own = 20 * squares / (3 * BOLTZMANN_CONSTANT)
     assert_allclose(found["temperature"](), own)
     assert own.mean() == pytest.approx(90 * 9 / 12)
     assert_allclose(made.atoms.radii, 0.7)

@@ -7,8 +7,8 @@ from math import pi
 import pytest
 from scipy import constants
 
-from animtool.systems.molecules.atoms import BOLTZMANN, COULOMB
-from animtool.systems.molecules.molecules import MEGAPASCALS
+from animtool.systems.molecules.atoms import BOLTZMANN_CONSTANT, COULOMB_CONSTANT
+from animtool.systems.molecules.molecules import MEGAPASCALS_PER_UNIT
 from animtool.systems.molecules.spec import (
     AtomsModel,
     MoleculesModel,
@@ -20,9 +20,9 @@ from animtool.systems.molecules.spec import (
 def test_constants_are_those_of_nanometres_picoseconds_and_kilojoules_a_mole() -> None:
     mole = constants.Avogadro / 1000
     coulomb = constants.e**2 / (4 * pi * constants.epsilon_0)
-    assert pytest.approx(constants.k * mole, rel=1e-9) == BOLTZMANN
-    assert pytest.approx(coulomb * mole * 1e9, rel=1e-8) == COULOMB
-    assert pytest.approx(1e27 / mole / 1e6, rel=1e-8) == MEGAPASCALS
+    assert pytest.approx(constants.k * mole, rel=1e-9) == BOLTZMANN_CONSTANT
+    assert pytest.approx(coulomb * mole * 1e9, rel=1e-8) == COULOMB_CONSTANT
+    assert pytest.approx(1e27 / mole / 1e6, rel=1e-8) == MEGAPASCALS_PER_UNIT
 
 
 def test_what_atoms_and_their_box_are_where_nothing_is_given() -> None:

@@ -32,7 +32,7 @@ from animtool.systems.nbody.nbody import (
     build,
 )
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
-from animtool.systems.particles.emitter import uniforms
+from animtool.systems.particles.emitter import uniform_samples
 
 X = np.array([[0.0, 0, 0], [3, 4, 0], [3, 4, 2], [-9, 0, 0]])
 MASSES = np.array([1.0, 2.0, 3.0, 0.5])
@@ -58,11 +58,11 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
     assert state.pulls.rates.max() == pytest.approx(2 * 5 / reach)
     mass, said = made._fastest_pair(X, state.pulls.rates)
     assert (mass, said) == (5.0, "bodies 1 and 2 are 2 m apart")
-    assert made.suspect(X, state.pulls) == said
+    assert made.suspected_cause(X, state.pulls) == said
     found = made._fastest_pair(X, np.array([0.0, 0, 0, 9.0]))
     assert found == (1.5, "bodies 0 and 3 are 9 m apart")
     alone = MutualGravity(np.zeros((1, 3)), np.zeros(1), np.zeros(1))
-    assert made.suspect(X[:1], alone) == ""
+    assert made.suspected_cause(X[:1], alone) == ""
     assert_allclose(state.pulls.accelerations, pulls(X, MASSES, 2.0, softening))
     assert_allclose(made._direct_sum(X, X[1]), pulls(X, MASSES, 2.0, softening)[1])
     assert made._force_error(X, state.pulls) < 1e-14
@@ -96,7 +96,7 @@ def test_without_softening_steps_are_finer(softening: float, phase: float) -> No
     made = nbody(X, 0 * X, MASSES, 2.0, softening, 0.01, substeps=8)
     for turned, parts in ((1.01, 2), (7.9, 8), (8.0, 16), (np.inf, 16), (0.0, 1)):
         rates = np.array([0.0, (turned * phase / 0.01) ** 2])
-        assert made._substeps_for(rates, 0.01) == parts
+        assert made._required_substeps(rates, 0.01) == parts
 
 
 @pytest.mark.parametrize("parts", [1, 4])
@@ -233,7 +233,7 @@ def test_bodies_of_a_disc_are_where_their_numbers_say() -> None:
     own = galaxy(nucleus=2, disc={**disc, "stability": 1.2})
     made = build_galaxy(own, 2.0, 0.1)
     profile = MassProfile(own, 2.0, 0.1)
-    u = uniforms(4, np.arange(50), 6)
+    u = uniform_samples(4, np.arange(50), 6)
     x = made.points[1:] - made.points[0]
     v = made.velocities[1:] - made.velocities[0]
     assert own.disc is not None
@@ -272,7 +272,7 @@ def test_bodies_of_a_spheroid_are_bound_and_drawn_by_their_own_seed(kind: str) -
     own = galaxy(**{kind: part})
     made = build_galaxy(own, 2.0, 0.1)
     profile = MassProfile(own, 2.0, 0.1)
-    u = uniforms(4 + (1000 if kind == "bulge" else 2000), np.arange(60), 6)
+    u = uniform_samples(4 + (1000 if kind == "bulge" else 2000), np.arange(60), 6)
     model = getattr(own, kind)
     r = np.interp(u[:, 0] * 3, enclosed_mass(model, profile.r), profile.r)
     x = r[:, None] * matter.random_directions(u[:, 1:3])
@@ -314,7 +314,7 @@ def test_galaxies_are_turned_and_put_and_moved() -> None:
     made = build(spec, _Context({}))
     assert made.has_many_species
     assert made.species.tolist() == [0] * 20 + [1]
-    assert_array_equal(made.written_bodies, np.arange(21))
+    assert_array_equal(made.written_indices, np.arange(21))
     assert nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01).has_many_species is False
 
 

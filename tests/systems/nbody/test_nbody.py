@@ -371,11 +371,11 @@ def test_a_step_is_parted_until_the_closest_pair_turns_little(
     x = np.array([[0.0, 0, 0], [4, 0, 0]])
     made = nbody(x, 0 * x, np.ones(2), 2.0, 0.1, 0.01, substeps=64)
     rates = np.array([0.0, (phase * MAX_PHASE / 0.02) ** 2])
-    assert made._substeps_for(rates, 0.02) == parts
-    assert made._substeps_for(rates[:0], 0.02) == 1
+    assert made._required_substeps(rates, 0.02) == parts
+    assert made._required_substeps(rates[:0], 0.02) == 1
     # A method that finds its steps by itself parts none.
     adaptive = nbody(x, 0 * x, np.ones(2), 2.0, 0.1, 0.01, method="rk45")
-    assert adaptive._substeps_for(rates, 0.02) == 1
+    assert adaptive._required_substeps(rates, 0.02) == 1
 
 
 def test_a_step_that_ends_where_two_are_close_is_done_again_in_parts() -> None:
@@ -384,7 +384,7 @@ def test_a_step_that_ends_where_two_are_close_is_done_again_in_parts() -> None:
     v = np.array([[-10.0, 0, 0], [10, 0, 0]])
     made = nbody(x, v, np.array([0.015, 0.005]), 1.0, 0.0, 0.1)
     state = made.initial()
-    assert made._substeps_for(state.pulls.rates, 0.1) == 1
+    assert made._required_substeps(state.pulls.rates, 0.1) == 1
     after = made.step(state, 0.0, 0.1)
     assert (after.encounters, after.divided) == (1, 4)
     assert np.linalg.norm(np.subtract(*after.motion[0])) == pytest.approx(0.2, rel=0.01)

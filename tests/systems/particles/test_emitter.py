@@ -12,7 +12,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from animtool.maths import so3
 from animtool.sim.colliders import Mesh, Poses
 from animtool.systems.particles import BoxShape, Disc, Emitter, MeshSurface, SphereShape
-from animtool.systems.particles.emitter import Births, hash64, uniforms
+from animtool.systems.particles.emitter import Births, hash64, uniform_samples
 
 
 def splitmix(state: int) -> int:
@@ -27,7 +27,7 @@ def test_bits_are_mixed_as_splitmix_does() -> None:
     assert hash64(np.array([0], np.uint64))[0] == 0xE220A8397B1DCDAF
     assert hash64(np.array([1234567], np.uint64))[0] == 6457827717110365317
     keys = [0, 7, 2**40 + 3]
-    found = uniforms(5, np.array(keys), 3)
+    found = uniform_samples(5, np.array(keys), 3)
     for row, key in zip(found, keys, strict=True):
         first = splitmix(key ^ splitmix(5))
         bits = [splitmix((first + k * 0x9E3779B97F4A7C15) % 2**64) for k in range(3)]
@@ -81,7 +81,7 @@ def test_each_draws_speed_life_and_radius_by_its_own_numbers() -> None:
         speed=3.0, speed_spread=0.5, lifetime=2.0, lifetime_spread=3.0, radius=0.2,
         radius_spread=0.1, seed=11,
     )  # fmt: skip
-    u = uniforms(11, keys, 8)
+    u = uniform_samples(11, keys, 8)
     x, v, lives, radii = emitter.sample_births(Births(np.zeros(3), keys, 0))
     assert_array_equal(x, np.zeros((3, 3)))
     assert_allclose(v[:, 1], 2.5 + u[:, 5])
@@ -147,7 +147,7 @@ def test_places_and_speeds_are_of_the_emitters_frame() -> None:
 def test_a_burst_of_its_own_is_drawn_at_a_time() -> None:
     emitter = Emitter(rate=50.0, speed=2.0, place=BoxShape((1, 1, 1)), seed=4)
     x, v = emitter.sample_at(3.0, 5)
-    u = uniforms(4, 2**40 + np.arange(5), 8)
+    u = uniform_samples(4, 2**40 + np.arange(5), 8)
     assert_allclose(x, u[:, :3] - 0.5)
     assert_allclose(v, np.tile([0.0, 2, 0], (5, 1)))
 

@@ -86,7 +86,7 @@ def test_all_particles_at_once_are_each_alone(name: str) -> None:
     assert whole.shape == (7, 3)
     assert np.abs(whole).max() > 0
     assert force.faults() == []
-    if not force.pairs:
+    if not force.is_pair_force:
         alone = force.force(0.3, x[2:3], v[2:3], particles.select(np.array([2])))
         assert_allclose(whole[2:3], alone, rtol=1e-12)
     each = force.force(np.full(7, 0.3), x, v, particles)

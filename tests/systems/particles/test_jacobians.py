@@ -52,7 +52,7 @@ def test_what_a_spring_damps_is_along_it() -> None:
 @pytest.mark.parametrize("name", sorted(FORCES))
 def test_what_does_not_vary_has_none(name: str) -> None:
     force = find_force(name)
-    if force.varies:
+    if force.is_variable:
         return
     x, v = np.random.default_rng(3).normal(size=(2, 3, 3))
     for jacobian in force().jacobians(0.0, x, v, particles()):

@@ -35,7 +35,7 @@ from animtool.systems.particles.moving import (
 def some(masses: list[float], births: list[float] | None = None, first: int = 0) -> Any:
     """Return particles without radii, ids from one on."""
     count = len(masses)
-    return ParticleState.lasting(
+    return ParticleState.everlasting(
         first + np.arange(count),
         np.array(masses),
         0.1,
@@ -182,7 +182,7 @@ def test_the_suspect_is_who_is_accelerated_most() -> None:
     state = np.zeros((2, 3, 3))
     own = some([2.0, 1.0, 3.0], first=7)
     forces = setup(("uniform", {"push": (1, 0, 0)}))
-    said = ParticleForces(forces, FLOOR, own, state).suspect(0.0, state)
+    said = ParticleForces(forces, FLOOR, own, state).suspected_cause(0.0, state)
     assert said == "particle 8 has the largest acceleration"
     nobody = some([])
     none = np.zeros((2, 0, 3))
@@ -223,10 +223,10 @@ def test_what_was_usual_is_the_most_of_what_there_was(
     for share, blown in ((0.99, True), (1.01, False)):
         check = checked(least * share, DOWN)
         check.set_particles(some([2.0]), state(*before))
-        assert bool(check.divergence(0.0, state(*after))) is blown
+        assert bool(check.divergence_reason(0.0, state(*after))) is blown
     spoiled = state(*after)
     spoiled[1, 0, 2] = np.nan
-    assert check.divergence(0.0, spoiled) == "its state is not finite"
+    assert check.divergence_reason(0.0, spoiled) == "its state is not finite"
 
 
 def test_a_piston_may_bring_what_its_speed_gives() -> None:
@@ -235,7 +235,7 @@ def test_a_piston_may_bring_what_its_speed_gives() -> None:
     for share, blown in ((0.99, True), (1.01, False)):
         check = checked(2.0 * share, DOWN, colliders=[Collider(Plane(), moves)])
         check.set_particles(some([2.0]), placed([0.0], [0.0]))
-        assert bool(check.divergence(0.0, placed([0.0], [6.0]))) is blown
+        assert bool(check.divergence_reason(0.0, placed([0.0], [6.0]))) is blown
 
 
 def test_who_is_born_or_removed_is_no_gain() -> None:
@@ -246,7 +246,7 @@ def test_who_is_born_or_removed_is_no_gain() -> None:
     check.set_particles(some([2.0, 2.0], first=5), later)
     # Of id 5 as it was, of id 6 as it came: 80 J, and 900 J.
     assert_allclose(check._first_energies, [[0, 900], [80, 0]])
-    assert not check.divergence(0.0, later)
+    assert not check.divergence_reason(0.0, later)
     check.reset_energies(np.array([True, False]), placed([1.0, 9.0], [3.0, 9.0]))
     assert_allclose(check._first_energies, [[9, 900], [16, 0]])
     check.set_particles(some([2.0], first=2), placed([1.0], [1.0]))
@@ -267,11 +267,11 @@ def test_without_all_potentials_energy_tells_of_steps_too_long_alone() -> None:
         check = checked(1.0, *forces)
         check.set_particles(some([2.0]), placed([0.0], [10.0]))
         check.has_long_steps = too_long
-        assert bool(check.divergence(0.0, far)) is blown
+        assert bool(check.divergence_reason(0.0, far)) is blown
     field = Particles([Emitter(rate=1)], velocity=VelocityField("1"))
     check = DivergenceCheck(field, Colliders([]))
     check.set_particles(some([2.0]), placed([0.0], [10.0]))
-    assert check.divergence(0.0, far) == ""
+    assert check.divergence_reason(0.0, far) == ""
 
 
 def test_charges_are_softened_and_sum_over_more_than_a_block() -> None:

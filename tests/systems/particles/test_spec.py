@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,7 +11,7 @@ import pytest
 
 from animtool.sim.colliders import Collider, Colliders, Plane, Poses
 from animtool.systems.particles import Emitter, KillRegion, Particles, find_force
-from animtool.systems.particles.simulation import build
+from animtool.systems.particles.simulation import ParticleSimulation, build
 from animtool.systems.particles.spec import ParticlesModel
 
 
@@ -81,7 +82,11 @@ def test_what_a_scene_makes_of_its_entry() -> None:
 )
 def test_a_region_kills_what_is_in_it(height: float, killed: bool) -> None:
     region = KillRegion(Collider(Plane(), Poses.fixed((0, 1, 0)), container=False))
-    assert region.kills(np.array([[5.0, height, 0]]), 0.0).tolist() == [killed]
+    setup = Particles([Emitter(bursts=[(0.0, 1)])], kills=[region])
+    state = ParticleSimulation(setup, 0.0).initial()
+    moved = replace(state, state=np.array([[[5.0, height, 0]], [[0, 0, 0]]]))
+    kept = ParticleSimulation(setup, 0.0)._remove_particles(moved, 0.0)
+    assert len(kept.particles) == (not killed)
 
 
 @pytest.mark.parametrize("budget", [None, 77])

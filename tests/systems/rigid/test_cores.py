@@ -13,15 +13,15 @@ from animtool.systems.rigid.cores import (
     SolidProperties,
     combine_solids,
     core_of,
+    core_solid,
     enclosed_solid,
-    solid_of,
 )
 
 
 @pytest.mark.parametrize(("radius", "length"), [(0.3, 1.0), (0.5, 0.2), (0.2, 0.0)])
 def test_a_capsule_is_the_sum_of_its_discs(radius: float, length: float) -> None:
     shape = Capsule(radius, length, axis=(0.0, 0.0, 2.0))
-    found = solid_of(shape, core_of(shape))
+    found = core_solid(shape, core_of(shape))
 
     def square(z: float) -> float:
         return radius**2 - max(abs(z) - length / 2, 0.0) ** 2
@@ -40,12 +40,12 @@ def test_a_capsule_is_the_sum_of_its_discs(radius: float, length: float) -> None
 
 def test_boxes_and_balls_and_filled_meshes() -> None:
     box = Box((0.2, 0.4, 0.6))
-    found = solid_of(box, core_of(box))
+    found = core_solid(box, core_of(box))
     moments = 0.048 / 12 * np.array([0.16 + 0.36, 0.04 + 0.36, 0.04 + 0.16])
     assert found.volume == pytest.approx(0.048)
     assert_allclose(found.inertia, np.diag(moments), atol=1e-15)
     ball = Sphere(0.5, centre=(1.0, 2.0, 3.0))
-    found = solid_of(ball, core_of(ball))
+    found = core_solid(ball, core_of(ball))
     volume = np.pi / 6
     assert_allclose(found.inertia, 0.4 * volume * 0.25 * np.eye(3))
     assert_allclose(found.centre, [1, 2, 3])
@@ -59,7 +59,7 @@ def test_boxes_and_balls_and_filled_meshes() -> None:
     second = np.full((3, 3), 1 / 120) + np.eye(3) / 120 - np.full((3, 3), 1 / 96)
     assert_allclose(found.inertia, np.trace(second) * np.eye(3) - second, atol=1e-15)
     mesh = Mesh(corner, sides, closed=True)
-    hull = solid_of(mesh, core_of(mesh))
+    hull = core_solid(mesh, core_of(mesh))
     assert_allclose(hull.inertia, found.inertia, atol=1e-12)
 
 

@@ -55,7 +55,7 @@ def body(folder: Path, mesh: Mesh, **keys: Any) -> dict[str, Any]:
 
 def test_pieces_fill_the_mesh() -> None:
     mesh = bracket()
-    assert mesh.watertight
+    assert mesh.is_watertight
     assert mesh_solid(mesh).volume == pytest.approx(3)
     made = convex_pieces(mesh)
     assert len(made) == 2

@@ -30,7 +30,7 @@ from animtool.scene.file.read import load_scene
 from animtool.sim.colliders import Box, Plane, Poses, Shape
 from animtool.sim.colliders import Capsule as Shaft
 from animtool.sim.colliders import Collider as Obstacle
-from animtool.systems.rigid.cores import core_of, solid_of
+from animtool.systems.rigid.cores import core_of, core_solid
 from animtool.systems.rigid.ragdoll import RagdollOptions, _rest_frames, build_ragdoll
 from animtool.systems.rigid.shared import RigidState
 from animtool.systems.rigid.simulation import RigidSimulation
@@ -364,7 +364,7 @@ def test_limp_pins_fall_as_a_double_pendulum_of_the_same_masses() -> None:
     found = fallen(take, colliders=(SHELF,), damping=0.0)
     angles = project_to_coordinates(rig, LocalTransforms(*found.motion.dense()[:2]))
     bone = Shaft(0.03, LENGTH - 0.1)
-    solid = solid_of(bone, core_of(bone))
+    solid = core_solid(bone, core_of(bone))
     mass, inertia = 1000 * solid.volume, 1000 * solid.inertia[2, 2]
     arm = LENGTH / 2
 

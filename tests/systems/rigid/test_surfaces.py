@@ -64,8 +64,8 @@ def test_bodies_are_where_they_were(tmp_path: Path) -> None:
     one, other = (found.run.body_colliders(0.0, 0.5, two_way=False) for _ in range(2))
     assert [collider.friction for collider in one.colliders] == [0.5]
     found.to(0.5)
-    ends = one.ends(0.3, 0.305)
-    assert_array_equal(other.ends(0.3, 0.305), ends)
+    ends = one.end_poses(0.3, 0.305)
+    assert_array_equal(other.end_poses(0.3, 0.305), ends)
     alone = Rigid(tmp_path, BLOCK, colliders=[FLOOR]).run.at(0.305)
     assert_array_equal(ends[0, 1], [*alone.points[0], *alone.rotations[0]])
     # What one lets go, another may still ask for.
@@ -73,7 +73,7 @@ def test_bodies_are_where_they_were(tmp_path: Path) -> None:
     other.forget(0.2)
     again = Rigid(tmp_path, BLOCK, colliders=[FLOOR]).run
     alike = again.body_colliders(0.0, 0.5, two_way=False)
-    assert_array_equal(alike.ends(0.25, 0.25), other.ends(0.25, 0.25))
+    assert_array_equal(alike.end_poses(0.25, 0.25), other.end_poses(0.25, 0.25))
 
 
 @pytest.mark.parametrize("frame", [8, 20])

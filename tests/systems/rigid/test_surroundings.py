@@ -60,17 +60,21 @@ def test_bodies_run_into_surfaces_and_into_what_is_there_without_any() -> None:
     floor = Collider(Plane(), Poses.fixed())
     alone = StepColliders(Colliders([floor]))
     for found, wanted in zip(
-        alone.arrays(0.5, 1.0), Colliders([floor]).arrays(0.5, 1.0), strict=True
+        alone.kernel_arrays(0.5, 1.0),
+        Colliders([floor]).kernel_arrays(0.5, 1.0),
+        strict=True,
     ):
         assert_allclose(found, wanted)
     sheet = Sheet(Moved(), radius=0.01)
     both = StepColliders(Colliders([floor], [sheet]))
-    wanted = Colliders([floor, _rigid_collider(sheet, 0.5, 1.0)]).arrays(0.5, 1.0)
+    wanted = Colliders([floor, _rigid_collider(sheet, 0.5, 1.0)]).kernel_arrays(
+        0.5, 1.0
+    )
     for _ in range(2):  # what was made is known the second time
-        for found, own in zip(both.arrays(0.5, 1.0), wanted, strict=True):
+        for found, own in zip(both.kernel_arrays(0.5, 1.0), wanted, strict=True):
             assert_allclose(found, own)
     # A step later it is elsewhere.
-    later = both.arrays(1.0, 1.5)
+    later = both.kernel_arrays(1.0, 1.5)
     assert any(
         np.shape(a) == np.shape(b)
         and np.size(a)

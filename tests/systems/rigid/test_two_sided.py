@@ -12,7 +12,7 @@ from support.suite import some_quick
 
 from animtool.core.errors import AnimtoolError
 from animtool.maths import so3
-from animtool.sim.colliders import Collider, Mesh, Poses, collide
+from animtool.sim.colliders import Collider, Colliders, Mesh, Poses, collide
 from animtool.systems.particles.setup import KillRegion
 
 SQUARE = np.array([[0.0, -1, -1], [0, 1, -1], [0, 1, 1], [0, -1, 1]])
@@ -163,6 +163,6 @@ def test_a_mesh_of_arrays_still_kills_inside() -> None:
     quads = np.array([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6],
                       [0, 2, 6, 4], [1, 5, 7, 3]])  # fmt: skip
     faces = np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-    region = KillRegion(Collider(Mesh(signs, faces)))
-    inside = region.kills(np.array([[0.1, 0.2, 0.3], [0.7, 0, 0]]), 0.0)
-    assert inside.tolist() == [True, False]
+    region = Colliders([KillRegion(Collider(Mesh(signs, faces))).region.as_solid()])
+    gaps = region.sample(np.array([[0.1, 0.2, 0.3], [0.7, 0, 0]]), 0.0).distances[0]
+    assert (gaps < 0).tolist() == [True, False]

@@ -73,7 +73,7 @@ class Tied:
         x, v = self.tow.run.state.state.motion.copy()
         for attachment in system.coupling.attachments:
             own = system.pinned[attachment.columns]
-            (n,) = np.flatnonzero(simulation.shared.dynamic == attachment.body)
+            (n,) = np.flatnonzero(simulation.shared.dynamic_indices == attachment.body)
             speeds, centre = (
                 simulation.body_velocities(reached)[n],
                 reached.motion[n, :3],

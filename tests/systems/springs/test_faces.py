@@ -149,7 +149,13 @@ def test_what_faces_gain_the_collider_loses() -> None:
     poses[..., :3] = at
     poses[:, 0, 0, 2] = speed * cell * np.arange(cells) - 0.05
     poses[:, 0, 1, 2] = poses[:, 0, 0, 2] + speed * cell
-    met = Colliders([Collider(Sphere(0.004))]).arrays(0.0, 0.0), poses, 0.0, None, 1e-6
+    met = (
+        Colliders([Collider(Sphere(0.004))]).kernel_arrays(0.0, 0.0),
+        poses,
+        0.0,
+        None,
+        1e-6,
+    )
     state, _, inside, pushes = _kernels.step_springs(
         system.network(0), system.state, system.untorn_flags, 0.0, 0, cell, cells, 8,
         (*met, []),

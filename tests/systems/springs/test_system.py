@@ -160,7 +160,7 @@ def test_a_lone_particle_has_no_fastest_motion() -> None:
     system = SpringSystem(alone)
     assert system.frequencies(0.0, system.state) is None
     assert system.stretch(0.0, system.state) is None
-    assert system.suspect(0.0, system.state) == ""
+    assert system.suspected_cause(0.0, system.state) == ""
 
 
 def test_a_spring_of_no_length_pulls_by_its_distance() -> None:

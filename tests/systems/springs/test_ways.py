@@ -62,10 +62,10 @@ def test_the_solver_that_is_left_open_is_chosen_as_it_is_simulated(
     tmp_path: Path,
 ) -> None:
     auto = trial(tmp_path)
-    asked = {"solver": auto.chosen.method, "step": auto.chosen["step"]}
+    asked = {"solver": auto.chosen_setting.method, "step": auto.chosen_setting["step"]}
     same = trial(tmp_path, **asked)
-    assert same.chosen == auto.chosen
-    one, other = auto.run(auto.chosen), same.run(same.chosen)
+    assert same.chosen_setting == auto.chosen_setting
+    one, other = auto.run(auto.chosen_setting), same.run(same.chosen_setting)
     np.testing.assert_allclose(
         one.snapshots[-1].points, other.snapshots[-1].points, atol=1e-12
     )
@@ -74,9 +74,9 @@ def test_the_solver_that_is_left_open_is_chosen_as_it_is_simulated(
 
 def test_an_error_is_kept_by_the_steps_that_it_came_to(tmp_path: Path) -> None:
     kept = trial(tmp_path, error=0.001)
-    (step,) = [value for name, value in kept.chosen.options if name == "step"]
+    (step,) = [value for name, value in kept.chosen_setting.options if name == "step"]
     assert step < 1 / 240
-    assert kept.run(kept.chosen).status is Status.OK
+    assert kept.run(kept.chosen_setting).status is Status.OK
 
 
 def test_steps_beyond_the_limit_blow_up_and_say_so(tmp_path: Path) -> None:
@@ -86,14 +86,14 @@ def test_steps_beyond_the_limit_blow_up_and_say_so(tmp_path: Path) -> None:
     assert done.reason
     assert done.stable_step is not None
     assert 0 < done.stable_step < 0.01
-    assert ours.chosen.method == "xpbd"
+    assert ours.chosen_setting.method == "xpbd"
 
 
 def test_energy_is_told_where_nothing_takes_it(tmp_path: Path) -> None:
     slowed = trial(tmp_path, drag=0.5)
-    assert slowed.run(slowed.chosen).energies is None
+    assert slowed.run(slowed.chosen_setting).energies is None
     free = trial(tmp_path)
-    energies = free.run(free.chosen).energies
+    energies = free.run(free.chosen_setting).energies
     assert energies is not None
     assert len(energies) == 7
 

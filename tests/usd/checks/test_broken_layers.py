@@ -15,7 +15,7 @@ from support.usd import open_stage, validation_errors
 from animtool.core.errors import FormatError, Severity
 from animtool.core.rules import builtin_rules
 from animtool.usd.checks import check_layer
-from animtool.usd.layers.sdf import find_layer
+from animtool.usd.layers.sdf import open_layer
 from animtool.usd.layers.stderr import without_usd_warnings
 
 # Those of checks alone say what to do whatever the file is.
@@ -160,7 +160,7 @@ def test_a_text_file_of_ours_is_named(tmp_path: Path) -> None:
         path = tmp_path / name
         path.write_text("rig: animtool/1\nname: a\n", "utf-8")
         with pytest.raises(FormatError) as caught:
-            find_layer(path)
+            open_layer(path)
         (fault,) = caught.value.faults
         assert fault.code == "USD001"
         assert fault.message == "is an animtool file (YAML or JSON), not a USD file"

@@ -15,7 +15,7 @@ from animtool.core.files.reading import FileState, recorded_inputs
 from animtool.usd.checks import check_layer
 from animtool.usd.layers import sdf as layers
 from animtool.usd.layers.dependencies import open_composed
-from animtool.usd.layers.sdf import find_layer
+from animtool.usd.layers.sdf import open_layer
 
 HEAD = '#usda 1.0\n(\nupAxis = "Y"\nmetersPerUnit = 1\n{}\n)\n'
 CLIPS = """(clips = {{dictionary default = {{
@@ -109,10 +109,10 @@ def test_what_is_too_large(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
     shot.write_text(text)
     monkeypatch.setattr(layers, "MAX_TEXT_LAYER_BYTES", 400)
     with raises(FormatError, "USD155"):
-        open_composed(find_layer(shot), shot)
+        open_composed(open_layer(shot), shot)
     monkeypatch.setattr(layers, "MAX_TEXT_LAYER_BYTES", 10)
     with raises(FormatError, "IO010"):
-        find_layer(shot)
+        open_layer(shot)
 
 
 def test_what_is_missing_or_a_folder_is_named_by_composition(tmp_path: Path) -> None:
@@ -144,7 +144,7 @@ def test_a_layer_that_changes_after_it_was_opened_is_found(
 
     monkeypatch.setattr(Usd.Stage, "Open", late)
     with recorded_inputs() as inputs:
-        open_composed(find_layer(shot), shot)
+        open_composed(open_layer(shot), shot)
     assert inputs.states[inner.resolve()] != FileState.of(inner)
     with raises(FormatError, "IO004"):
         inputs.check()

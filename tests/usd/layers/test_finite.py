@@ -16,7 +16,7 @@ from animtool.core.errors import OutputError
 from animtool.maths.curves import cubic_curves, evaluate
 from animtool.motion.motion import Channel, Motion
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.caches.writer import Block, CachedMesh, PointWriter
+from animtool.usd.caches.writer import CachedMesh, FrameBlock, PointWriter
 from animtool.usd.layers.finite import ValueLabels, narrow_floats, round_to_float32
 from animtool.usd.layers.sdf import SampleWriter, attribute_spec, new_layer, prim_spec
 from animtool.usd.takes.joint_writer import round_blocks
@@ -181,10 +181,10 @@ def test_points_beyond_float32_are_named() -> None:
 def test_a_frame_of_a_simulation_is_checked() -> None:
     layer = new_layer(Path("o.usda"))
     attribute_spec(prim_spec(layer, "/a", "Points"), "widths", TYPES.FloatArray)
-    writer = PointWriter(layer, CachedMesh("/a"), every_frame=True)
+    writer = PointWriter(layer, CachedMesh("/a"), writes_every_frame=True)
     widths = np.array([[1.0, np.inf]], np.float32)
     with raises(OutputError, "USD170", match=r"/a\.widths: point 1 at frame 4 is inf"):
-        writer.add(Block(0, np.array([4.0]), {"widths": widths}, 2))
+        writer.add(FrameBlock(0, np.array([4.0]), {"widths": widths}, 2))
 
 
 def test_a_spline_has_finite_numbers() -> None:

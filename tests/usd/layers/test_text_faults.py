@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from animtool.core.errors import FormatError
-from animtool.usd.layers.sdf import find_layer
+from animtool.usd.layers.sdf import open_layer
 
 HEAD = "#usda 1.0\n"
 
@@ -31,7 +31,7 @@ def test_a_fault_has_its_place_and_a_remedy(
     path = tmp_path / "a.usda"
     path.write_text(text, "utf-8")
     with pytest.raises(FormatError) as caught:
-        find_layer(path)
+        open_layer(path)
     [fault] = caught.value.faults
     assert (fault.code, fault.path) == ("USD001", str(path))
     assert (fault.lines[0], fault.column) == place
@@ -43,5 +43,5 @@ def test_a_binary_layer_that_is_cut_off(tmp_path: Path) -> None:
     path = tmp_path / "a.usdc"
     path.write_bytes(b"PXR-USDC" + bytes(40))
     with pytest.raises(FormatError) as caught:
-        find_layer(path)
+        open_layer(path)
     assert "write or copy it again" in (caught.value.faults[0].hint or "")

@@ -62,7 +62,7 @@ def test_named_arrays_of_every_frame_are_sampled_primvars() -> None:
         layer = Sdf.Layer.CreateAnonymous(".usda")
         simulated = SimulatedPrim("/it", 0.01)
         simulated.author_prim(layer, frame)
-        writer = PointWriter(layer, simulated.report, every_frame=True)
+        writer = PointWriter(layer, simulated.report, writes_every_frame=True)
         writer.add(simulated.build_block(0, 1.0, frame))
         other = {name: values + 1 for name, values in PRIMVARS.items()}
         changed = replace(frame, primvars=other)
@@ -89,7 +89,7 @@ def test_copies_of_meshes_are_where_they_are_told() -> None:
         COPIES, primvars=some, **{n: getattr(COPIES, n)[nothing] for n in ROWS}
     )
     simulated.author_prim(layer, COPIES)
-    writer = PointWriter(layer, simulated.report, every_frame=True)
+    writer = PointWriter(layer, simulated.report, writes_every_frame=True)
     for code, frame in ((1.0, COPIES), (2.0, empty)):
         writer.add(simulated.build_block(0, code, frame))
     stage = Usd.Stage.Open(layer)

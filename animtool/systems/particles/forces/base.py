@@ -39,14 +39,14 @@ class Force(ABC):
     """A force on particles, and its options.
 
     Attributes:
-        pairs: Whether particles act on each other.
+        is_pair_force: Whether particles act on each other.
         is_dissipative: Whether it only removes energy from particles.
-        varies: Whether it depends on positions, velocities or time.
+        is_variable: Whether it depends on positions, velocities or time.
     """
 
-    pairs: bool = False
+    is_pair_force: bool = False
     is_dissipative: bool = False
-    varies: bool = True
+    is_variable: bool = True
 
     @abstractmethod
     def force(
@@ -64,7 +64,7 @@ class Force(ABC):
         are about as steep as the force.
         """
         by_position, by_velocity = np.zeros((2, len(x), 3, 3))
-        if self.pairs:
+        if self.is_pair_force:
             return by_position, by_velocity
         for k in range(3):
             offset = np.zeros_like(x)

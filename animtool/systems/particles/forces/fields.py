@@ -119,7 +119,7 @@ class Charges(Force):
     constant: NotNegative = 8.9875517862e9  # Coulomb constant [N m²/C²]
     softening: Positive = 0.01  # softening length [m]
 
-    pairs = True
+    is_pair_force = True
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -129,7 +129,7 @@ class Charges(Force):
         for first in range(0, len(x), _BLOCK_SIZE):
             block = slice(first, first + _BLOCK_SIZE)
             offsets = x[block, None] - x
-            squared = (offsets * offsets).sum(axis=2) + self.softening**2
-            weights = particles.charges / squared**1.5
+            squared_distances = (offsets * offsets).sum(axis=2) + self.softening**2
+            weights = particles.charges / squared_distances**1.5
             fields[block] = (offsets * weights[:, :, None]).sum(axis=1)
         return fields * (self.constant * particles.charges[:, None])

@@ -31,7 +31,7 @@ class Gravity(Force):
 
     acceleration: Vector = (0.0, -9.81, 0.0)  # [m/s²]
 
-    varies = False
+    is_variable = False
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -50,7 +50,7 @@ class Uniform(Force):
 
     push: Vector = (0.0, 0.0, 0.0)  # [N]
 
-    varies = False
+    is_variable = False
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -126,7 +126,7 @@ class Spring(Force):
     def jacobians(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
     ) -> tuple[FloatArray, FloatArray]:
-        """Return the Jacobians of the force, as `Force.jacobians` does."""
+        """Return Jacobians of spring and damper by position and velocity."""
         identity = np.eye(3)
         offsets = x - self._anchors(particles)
         stiffness = np.broadcast_to(-self.k * identity, (len(x), 3, 3))

@@ -10,21 +10,21 @@ from animtool.systems.particles.forces.base import Force
 
 __all__ = ["FORCES", "find_force"]
 
-_FOLDER = "animtool.systems.particles.forces"
+_PACKAGE = "animtool.systems.particles.forces"
 FORCES: dict[str, str] = {
-    "central": f"{_FOLDER}.pulls:Central",
-    "charges": f"{_FOLDER}.fields:Charges",
-    "drag": f"{_FOLDER}.air:Drag",
-    "electromagnetic": f"{_FOLDER}.fields:Electromagnetic",
-    "field": f"{_FOLDER}.fields:Field",
-    "friction": f"{_FOLDER}.air:Friction",
-    "gravity": f"{_FOLDER}.pulls:Gravity",
-    "propulsion": f"{_FOLDER}.pulls:Propulsion",
-    "spring": f"{_FOLDER}.pulls:Spring",
-    "turbulence": f"{_FOLDER}.fields:Turbulence",
-    "uniform": f"{_FOLDER}.pulls:Uniform",
-    "viscosity": f"{_FOLDER}.air:Viscosity",
-    "wind": f"{_FOLDER}.air:Wind",
+    "central": f"{_PACKAGE}.pulls:Central",
+    "charges": f"{_PACKAGE}.fields:Charges",
+    "drag": f"{_PACKAGE}.air:Drag",
+    "electromagnetic": f"{_PACKAGE}.fields:Electromagnetic",
+    "field": f"{_PACKAGE}.fields:Field",
+    "friction": f"{_PACKAGE}.air:Friction",
+    "gravity": f"{_PACKAGE}.pulls:Gravity",
+    "propulsion": f"{_PACKAGE}.pulls:Propulsion",
+    "spring": f"{_PACKAGE}.pulls:Spring",
+    "turbulence": f"{_PACKAGE}.fields:Turbulence",
+    "uniform": f"{_PACKAGE}.pulls:Uniform",
+    "viscosity": f"{_PACKAGE}.air:Viscosity",
+    "wind": f"{_PACKAGE}.air:Wind",
 }
 
 
