@@ -31,7 +31,7 @@ Descent::DescentEnd Descent::descend(double damping, bool is_thorough) {
     const double ratio = gain > 0 ? (current_.cost - next_.cost) / gain : 0;
     is_accepted = ratio > MIN_GAIN_RATIO && next_.cost < current_.cost;
     if (uses_hessian)
-      trust_radius = ratio < 0.25  ? 0.3 * stepper_.last_rotation()
+      trust_radius = ratio < 0.25  ? 0.3 * stepper_.step_rotation()
                      : ratio > 0.5 ? std::min(2.5 * trust_radius, MAX_ROTATION)
                                    : trust_radius;
     else if (is_accepted)

@@ -135,7 +135,7 @@ class Newton : public Method {
 
   bool advance() override {
     linearize(task_, targets_, rest_, current_, linear_);
-    for (; trust_radius_ > MIN_ROTATION; trust_radius_ = RADIUS_SHRINK * stepper_.last_rotation()) {
+    for (; trust_radius_ > MIN_ROTATION; trust_radius_ = RADIUS_SHRINK * stepper_.step_rotation()) {
       stepper_.step(current_, linear_, DAMPING, true, trust_radius_, delta_.data());
       const double gain = stepper_.predicted_gain(current_, linear_, true, delta_.data());
       if (!(gain > MIN_GAIN * current_.cost)) return false;

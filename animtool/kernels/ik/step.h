@@ -60,9 +60,9 @@ class Stepper {
   // joints: then cones add their curvature, and joints that are pulled off limits are released.
   bool is_redundant() const { return is_redundant_; }
 
-  // The largest rotation of a joint in the last step, with the full Hessian of any node in the
-  // world [rad].
-  double last_rotation() const { return last_rotation_; }
+  // Largest rotation of a joint in the last step [rad]; with the full Hessian, that of any
+  // node in the world.
+  double step_rotation() const { return step_rotation_; }
 
   // Decrease of the cost that the model predicts for a step, without the damping.
   double predicted_gain(const State& state, const Linearized& linear, bool uses_hessian,
@@ -109,7 +109,7 @@ class Stepper {
   bool shorten(const State& state, bool uses_hessian, double max_rotation, double* step) {
     const double largest =
         uses_hessian ? max_world_rotation(state, step) : max_joint_rotation(step);
-    last_rotation_ = std::min(largest, max_rotation);
+    step_rotation_ = std::min(largest, max_rotation);
     if (largest <= max_rotation) return false;
     for (int d = 0; d < task_.chain.dof_count; ++d) step[d] *= max_rotation / largest;
     return true;
@@ -217,7 +217,7 @@ class Stepper {
   const int matrix_size_;  // of the matrix
   std::vector<double> matrix_, right_hand_side_, jacobian_product_, buffer_, solution_,
       search_direction_, residual_, product_, world_rotations_;
-  double last_rotation_ = 0, initial_residual_ = 0;
+  double step_rotation_ = 0, initial_residual_ = 0;
   std::vector<FixedDirection> fixed_directions_;
   std::vector<LimitFlags> at_limit_;
   // Second derivatives of a cone along a unit vector d, and the fraction s that solves (shift +

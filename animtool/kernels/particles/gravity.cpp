@@ -373,9 +373,9 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(In<double, 2>
   Out<double, 2> accelerations(count, 3);
   Out<double, 1> potentials(count), rates(count);
   if (count) {
-    const GravityFunctions* quads = gravity_in_quads();
+    const GravityFunctions* quad_functions = gravity_in_quads();
     const GravityFunctions& gravity_functions =
-        quads ? *quads : GravityKernels<Portable>::functions;
+        quad_functions ? *quad_functions : GravityKernels<Portable>::functions;
     Bodies bodies(points.data(), masses.data(), count, softening);
     bodies.acceleration = accelerations.get();
     bodies.potential = potentials.get();

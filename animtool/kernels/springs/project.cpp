@@ -17,7 +17,7 @@ namespace animtool {
 namespace {
 
 // Number of consecutive calm intervals after which half as many steps are tried.
-constexpr int RELAXED_INTERVALS = 120;
+constexpr int CALM_INTERVAL_COUNT = 120;
 // Strain, relative to the limit, below which an interval is calm.
 constexpr double RELAXED_STRAIN_FRACTION = 0.125;
 // A strain counts as compliance if it exceeds the strain beyond the compliance by this factor.
@@ -347,7 +347,7 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
     largest_strain = std::max(largest_strain, strain);
     self_contacts.update_max_counts();
     low_strain_count = strain <= RELAXED_STRAIN_FRACTION * repeat_strain ? low_strain_count + 1 : 0;
-    if (low_strain_count >= RELAXED_INTERVALS && substeps > min_substeps) {
+    if (low_strain_count >= CALM_INTERVAL_COUNT && substeps > min_substeps) {
       substeps = std::max(substeps / 2, min_substeps);
       low_strain_count = 0;
     }
