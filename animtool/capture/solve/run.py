@@ -43,7 +43,7 @@ from animtool.core.errors import (
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
-from animtool.core.units import LengthUnit, up_from_up
+from animtool.core.units import confused_units, up_from_up
 from animtool.ik.fit import FitOptions, fit
 from animtool.maths import so3
 from animtool.motion.driving import drive_take
@@ -321,19 +321,6 @@ def positions_in_rig_axes(rig: Rig, markers: Markers) -> FloatArray:
     return so3.rotate(np.array(rotation), markers.positions)
 
 
-def _confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
-    """Return the unit of a capture, and the unit it was read in, for a size ratio.
-
-    >>> [unit.value for unit in _confused_units(857.0)]
-    ['mm', 'm']
-    """
-    units = LengthUnit.M, LengthUnit.CM, LengthUnit.MM, LengthUnit.IN
-    return min(
-        itertools.permutations(units, 2),
-        key=lambda pair: abs(math.log(ratio * pair[0].meters / pair[1].meters)),
-    )
-
-
 def check_units(
     model: MarkerProblem, sample: FloatArray, template: MarkerTemplate | None = None
 ) -> None:
@@ -364,7 +351,7 @@ def check_units(
             severity = Severity.ERROR
             fault = replace(notice, code="SOL005", message=message, severity=severity)
             raise OptionError(fault)
-    unit_written, unit_read = _confused_units(ratio)
+    unit_written, unit_read = confused_units(ratio)
     hint = f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or "
     hint += "in"
     if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_LOG_RATIO:
