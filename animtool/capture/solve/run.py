@@ -21,6 +21,7 @@ from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
     estimate_noise,
     fullest_frames,
+    mirrored_offsets_notices,
     swapped_side_notices,
 )
 from animtool.capture.templates.match import (
@@ -242,7 +243,11 @@ def solve_markers(
     noise = estimate_noise(model, sample, options.noise)
     side_notices = swapped_side_notices(model, sample, noise, options.noise)
     if all(notice.code not in {"MKT003", "MKT005"} for notice in notices):
-        notices += side_notices or _residual_notices(model.template.names, noise)
+        notices += (
+            side_notices
+            or mirrored_offsets_notices(model, sample, noise, options.noise)
+            or _residual_notices(model.template.names, noise)
+        )
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
 
