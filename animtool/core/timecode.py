@@ -124,6 +124,15 @@ def seconds_between(
     return (difference + day_seconds / 2) % day_seconds - day_seconds / 2
 
 
+def has_drop_frame(rate: Fraction) -> bool:
+    """Return whether drop-frame time codes exist at a frame rate.
+
+    >>> has_drop_frame(Fraction(30000, 1001)), has_drop_frame(Fraction(24))
+    (True, False)
+    """
+    return rate in _DROPPED_LABELS
+
+
 def _labels_dropped_per_minute(rate: Fraction) -> int:
     """Return the number of labels that a drop-frame rate skips per minute."""
     if rate not in _DROPPED_LABELS:

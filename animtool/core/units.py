@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import re
 from enum import StrEnum
@@ -46,6 +47,18 @@ def likely_unit(
     sizes = {other: size * other.meters / unit.meters for other in LengthUnit}
     likely = min(sizes, key=lambda other: abs(math.log(sizes[other] / typical_size)))
     return likely, sizes[likely]
+
+
+def confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
+    """Return the unit of numbers, and the unit they were read in, for a size ratio.
+
+    >>> [unit.value for unit in confused_units(857.0)]
+    ['mm', 'm']
+    """
+    return min(
+        itertools.permutations(LengthUnit, 2),
+        key=lambda pair: abs(math.log(ratio * pair[0].meters / pair[1].meters)),
+    )
 
 
 def unit_name(meters: float) -> str:

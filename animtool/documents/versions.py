@@ -85,6 +85,23 @@ def renamed_keys(
         yield from renamed_keys(kind, child, location)
 
 
+def _wrong_kind_hint(kind: str | None, file_kind: str) -> str:
+    """Return a hint for a file of one kind where another kind is expected."""
+    if (kind, file_kind) == ("markers", "rig"):
+        hint = f"it is a rig file: pass it with {flag('rig')}; "
+        return f"{hint}a template ends in .markers.yaml"
+    if (kind, file_kind) == ("targets", "clip"):
+        hint = f"it is a clip file: animtool ik takes it with {flag('clip')}, and "
+        return f"{hint}with {flag('match')} writes targets from it"
+    description = "marker template" if file_kind == "markers" else f"{file_kind} file"
+    hint = f"it looks like a {description}; {_WRONG_KIND_HINTS[file_kind]}"
+    if kind == "cameras":
+        hint += "; cameras end in .cameras.yaml"
+    elif kind == "clip":
+        hint += "; a take is a clip, BVH, glTF, FBX or USD file"
+    return hint
+
+
 def kind_and_version(
     document: Document,
     table: Mapping[str, MigrationSteps] = MIGRATION_STEPS,
@@ -118,16 +135,7 @@ def kind_and_version(
         is_rig_named = kind == path_kind and kinds_in_file == ["rig"]
         if kinds_in_file and not is_rig_named:
             message = f"is not a {kind or ' or '.join(table)} file"
-            hint = f"it looks like a {kinds_in_file[0]} file; "
-            hint += _WRONG_KIND_HINTS[kinds_in_file[0]]
-            if (kind, kinds_in_file[0]) == ("markers", "rig"):
-                hint = "it is a rig file: pass it with "
-                hint += f"{flag('rig')}; a template ends in .markers.yaml"
-            elif (kind, kinds_in_file[0]) == ("targets", "clip"):
-                hint = f"it is a clip file: animtool ik takes it with {flag('clip')}, "
-                hint += f"and with {flag('match')} writes targets from it"
-            elif kind == "clip":
-                hint += "; a take is a clip, BVH, glTF, FBX or USD file"
+            hint = _wrong_kind_hint(kind, kinds_in_file[0])
             if kinds_in_file[0] == "scene" != path_kind:
                 hint += "; end its name in .scene.yaml"
         document.add("DOC009", (), message, hint)

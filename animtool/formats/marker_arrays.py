@@ -209,7 +209,7 @@ def _find_positions_array(
             pixels_hint = (
                 f"run first: animtool mocap triangulate {path} "
                 f"{flag('cameras', 'FILE')} -o markers.npz; or animtool bake {path} "
-                f"{flag('cameras', 'FILE')}"
+                f"{flag('cameras', 'FILE')} {flag('template', 'FILE')}"
             )
             raise file.error("MKR012", message, pixels_hint)
         message = f"has no array of positions whose name starts with {DEFAULT_PREFIX!r}"

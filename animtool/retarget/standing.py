@@ -372,9 +372,11 @@ def with_source_warnings(
                 if codes.isdisjoint({"USD126", "RIG217"}):
                     unit_notices = unit_warnings(stream.rig, file_format)
                     add_notices(replace(n, path=str(path)) for n in unit_notices)
-            if i == 0 and not is_stated:
+            # A root whose channels are exchanged has no orientation to check.
+            is_exchanged = any(notice.code == "BVH115" for notice in stream.notices)
+            if i == 0 and not is_stated and not is_exchanged:
                 add_notices(lying_body_notices(path, stream.rig, block, severity, up))
-            if i == 0 and file_format != "markers":
+            if i == 0 and file_format != "markers" and not is_exchanged:
                 known_codes = {notice.code for notice in stream.notices}
                 for problem in (
                     root_warning(stream.rig, block, float(1 / rate)),

@@ -74,6 +74,10 @@ class ShapeLink:
     low: float = -np.inf
     high: float = np.inf
 
+    def map(self, weights: FloatArray) -> FloatArray:
+        """Return source weights with the gain, the offset and the clamp."""
+        return np.clip(self.gain * weights + self.offset, self.low, self.high)
+
 
 @dataclass(frozen=True, slots=True)
 class ShapeLinks:
@@ -86,11 +90,19 @@ class ShapeLinks:
         """Convert source weights to target weights ``(F, count)``."""
         target_weights = np.zeros((len(weights), target_count))
         for link in self.links:
-            mapped_weights = link.gain * weights[:, link.source] + link.offset
-            target_weights[:, link.target] += np.clip(
-                mapped_weights, link.low, link.high
-            )
+            target_weights[:, link.target] += link.map(weights[:, link.source])
         return target_weights
+
+    def map_sources(self, weights: FloatArray) -> FloatArray:
+        """Return source weights with gain, offset and clamp, each in its own column.
+
+        Of several links of a source, the last is used; a source without a link keeps
+        its weights.
+        """
+        mapped_weights = weights.copy()
+        for link in self.links:
+            mapped_weights[:, link.source] = link.map(weights[:, link.source])
+        return mapped_weights
 
 
 def load_remap(path: Path | str) -> RemapFile:

@@ -77,6 +77,14 @@ def test_what_is_no_file_of_markers(
     assert caught.value.faults[0].path == str(tmp_path / "a.npz")
 
 
+def test_pixels_name_both_files_that_a_bake_needs(tmp_path: Path) -> None:
+    path = save(tmp_path / "a.npz", fs=120, uv=np.ones((2, 2, 1, 2)))
+    with pytest.raises(FormatError) as caught:
+        read_markers(path)
+    hint = caught.value.faults[0].hint or ""
+    assert hint.endswith("--cameras FILE --template FILE")
+
+
 def test_swapped_frames_and_markers_are_refused(tmp_path: Path) -> None:
     names = np.array(["A", "B", "C"])
     take = {"fs": 120, "marker_names": names}

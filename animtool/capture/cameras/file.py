@@ -22,6 +22,7 @@ from animtool.capture.cameras.camera import (
 from animtool.capture.cameras.plausible import warn_of_focal_lengths, warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
+from animtool.core.names import FILE_KINDS
 from animtool.core.options import key
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.check import FileModel, check_version, validate_document
@@ -184,7 +185,9 @@ def load_cameras(
     )
 
     document = read_camera_document(Path(path))
-    if isinstance(document.value.get("cameras"), str):
+    versions = [document.value.get(kind) for kind in FILE_KINDS]
+    is_animtool_file = any(str(text).startswith("animtool/") for text in versions)
+    if is_animtool_file or isinstance(document.value.get("cameras"), str):
         return parse_cameras(document, unit, up)
     return parse_calibration(document, unit, up)
 

@@ -21,6 +21,7 @@ from animtool.capture.solve.sampling import (
     ROBUST_DEVIATIONS,
     estimate_noise,
     fullest_frames,
+    mirrored_offsets_notices,
     swapped_side_notices,
 )
 from animtool.capture.templates.match import (
@@ -43,7 +44,7 @@ from animtool.core.errors import (
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
-from animtool.core.units import LengthUnit, up_from_up
+from animtool.core.units import confused_units, up_from_up
 from animtool.ik.fit import FitOptions, fit
 from animtool.maths import so3
 from animtool.motion.driving import drive_take
@@ -242,7 +243,11 @@ def solve_markers(
     noise = estimate_noise(model, sample, options.noise)
     side_notices = swapped_side_notices(model, sample, noise, options.noise)
     if all(notice.code not in {"MKT003", "MKT005"} for notice in notices):
-        notices += side_notices or _residual_notices(model.template.names, noise)
+        notices += (
+            side_notices
+            or mirrored_offsets_notices(model, sample, noise, options.noise)
+            or _residual_notices(model.template.names, noise)
+        )
     score = SolveScore(model.template.names, len(positions), noise)
     return MarkerSolve(model, match, positions, markers, noise, options, score, notices)
 
@@ -321,19 +326,6 @@ def positions_in_rig_axes(rig: Rig, markers: Markers) -> FloatArray:
     return so3.rotate(np.array(rotation), markers.positions)
 
 
-def _confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
-    """Return the unit of a capture, and the unit it was read in, for a size ratio.
-
-    >>> [unit.value for unit in _confused_units(857.0)]
-    ['mm', 'm']
-    """
-    units = LengthUnit.M, LengthUnit.CM, LengthUnit.MM, LengthUnit.IN
-    return min(
-        itertools.permutations(units, 2),
-        key=lambda pair: abs(math.log(ratio * pair[0].meters / pair[1].meters)),
-    )
-
-
 def check_units(
     model: MarkerProblem, sample: FloatArray, template: MarkerTemplate | None = None
 ) -> None:
@@ -364,7 +356,7 @@ def check_units(
             severity = Severity.ERROR
             fault = replace(notice, code="SOL005", message=message, severity=severity)
             raise OptionError(fault)
-    unit_written, unit_read = _confused_units(ratio)
+    unit_written, unit_read = confused_units(ratio)
     hint = f"set the unit of the capture with {argument('source.unit')}: m, cm, mm or "
     hint += "in"
     if abs(math.log(ratio * unit_written.meters / unit_read.meters)) < MAX_LOG_RATIO:

@@ -11,7 +11,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, listed, warning
 from animtool.core.quantities import length_text
 from animtool.ik.fit import FitOptions, fit
-from animtool.rig.sides import pair_sides
+from animtool.rig.sides import pair_sides, reflect_vector
 
 # Median length of a 3D vector whose components have standard deviation 1.
 MEDIAN_LENGTH = 1.538
@@ -147,6 +147,27 @@ def swapped_side_notices(
         f"rig, not {length_text(float(residuals[first]))}"
     )
     return [_swapped_warning(message)]
+
+
+def mirrored_offsets_notices(
+    model: MarkerProblem, sample: FloatArray, noise: FloatArray, min_noise: float
+) -> list[Fault]:
+    """Return a warning if markers fit offsets with x negated far better (SOL107).
+
+    The sampled positions are ``(F, E, 3)`` [m]; noise ``(E,)`` and its lower bound in
+    metres.
+    """
+    median_noise = float(np.median(noise))
+    if median_noise < MIN_SWAP_RESIDUAL / 2:
+        return []
+    mirrored_model = model.with_bones(model.rig, reflect_vector(model.offsets))
+    mirrored_noise = float(np.median(estimate_noise(mirrored_model, sample, min_noise)))
+    if mirrored_noise >= MAX_SWAP_RATIO * median_noise:
+        return []
+    message = f"markers are {length_text(median_noise)} off their positions on the "
+    message += f"rig, and {length_text(mirrored_noise)} with x of all offsets negated: "
+    message += "the offsets look mirrored"
+    return [warning("SOL107", message, "negate x of all offsets in the template")]
 
 
 def _column_medians(residuals: FloatArray) -> FloatArray:

@@ -58,8 +58,10 @@ def open_markers_source(
         markers = triangulate_source(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
         message = "holds markers, but no template places them on the rig"
-        hint = f"animtool mocap solve {path} solves them with a template; name it with "
-        hint += f"{argument('source.template')}, or as template: of a scene's source"
+        hint = f"name one with {argument('source.template')}, or as template: of a "
+        hint += "scene's source"
+        if cameras is None:
+            hint = f"animtool mocap solve {path} solves them with a template; {hint}"
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
     marker_template = load_template(template)
     rig_path = rig_of_template(marker_template, rig, template)

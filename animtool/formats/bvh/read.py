@@ -26,6 +26,10 @@ from animtool.formats.bvh.plausibility import (
     stated_rate_note,
     unused_positions_note,
 )
+from animtool.formats.bvh.suspicious import (
+    exchanged_root_warning,
+    opposite_offset_warnings,
+)
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
@@ -85,6 +89,7 @@ def read_bvh(
             raise unreadable_error(path, error) from error
     rig = _build_rig(header, path.stem, unit or LengthUnit.CM, up or UpAxis.Y)
     notices += _size_notice(rig, unit, str(path))
+    notices += opposite_offset_warnings(header, rig, str(path))
     if rate is not None:
         notices = [notice for notice in notices if notice.code not in _FRAME_TIME_CODES]
         notices += stated_rate_note(header, rate, str(path))
@@ -112,7 +117,7 @@ def read_bvh(
     if up is not None:
         details["up_choice"] = "stated"
     fps = header.rate_choice.fps if rate is None else rate
-    blocks = _read_blocks(row_source, layout, rig, notices)
+    blocks = _read_blocks(row_source, header, layout, rig, notices)
     return TakeStream(rig, fps, None, Fraction(1), blocks, notices, details)
 
 
@@ -245,7 +250,11 @@ class _ColumnLayout:
 
 
 def _read_blocks(
-    source: RowSource, layout: _ColumnLayout, rig: Rig, notices: list[Fault]
+    source: RowSource,
+    header: BvhHeader,
+    layout: _ColumnLayout,
+    rig: Rig,
+    notices: list[Fault],
 ) -> Iterator[Motion]:
     reader, max_positions = RowReader(source), np.zeros(len(layout.position_columns))
     position_joints = np.array(layout.position_joints, np.int64)
@@ -254,7 +263,9 @@ def _read_blocks(
     previous_rotations: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
     rotation_columns = layout.rotation_columns
     ranges = ChannelRanges(np.unique(rotation_columns[rotation_columns >= 0]))
-    for rows in reader.blocks():
+    for i, rows in enumerate(reader.blocks()):
+        if i == 0:
+            notices += exchanged_root_warning(header, rows, rig, str(source.path))
         translations = np.repeat(rest_positions[None], len(rows), axis=0)
         max_positions = np.maximum(
             max_positions, np.abs(rows[:, layout.position_columns]).max(axis=0)

@@ -99,7 +99,9 @@ def _unit_warning(times: FloatArray, path: str, animation: Animation) -> list[Fa
         return []
     duration = float(times[-1] - times[0])
     spacing = float(np.median(np.diff(times)))
-    is_integer = bool((times == np.round(times)).all())
+    # Exporters add up frame times in single precision.
+    tolerances = FRAME_TOLERANCE + TIME_PRECISION * np.abs(times)
+    is_integer = bool((np.abs(times - np.round(times)) < tolerances).all())
     if spacing > MAX_KEY_SPACING:
         unit, factor = "milliseconds", 1000.0
     elif is_integer and spacing <= MAX_FRAME_SPACING:

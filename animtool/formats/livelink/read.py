@@ -90,7 +90,7 @@ def read_livelink(
         if not target_rig.shapes:
             hint = "the rig has no shapes"
         raise OptionError(Fault("LLF007", message, str(path), (), hint))
-    _warn_of_values(recording, timing, dropped)
+    _warn_of_values(recording, timing, links, dropped)
     _warn_of_unmatched_names(recording, links, part_angles, joints, rig is not None)
     motion = _build_motion(recording, timing, target_rig, links, joints, dropped)
     details: dict[str, object] = {
@@ -212,7 +212,10 @@ def _slerp_rows(
 
 
 def _warn_of_values(
-    recording: Recording, timing: RecordingFrames, dropped: DroppedFrames
+    recording: Recording,
+    timing: RecordingFrames,
+    links: ShapeLinks,
+    dropped: DroppedFrames,
 ) -> None:
     """Warn about dropped frames, missing values and unusual weights."""
     file, dropped_frames = recording.file, timing.dropped_frames
@@ -241,14 +244,20 @@ def _warn_of_values(
             message += value_treatment
             file.warn("LLF102", message, None, *lines[:MAX_LISTED_SHAPES])
     # Values are kept: some rigs exceed 1, and percentages are detected.
+    weights = links.map_sources(recording.weights)
     with np.errstate(invalid="ignore"):
-        is_out_of_range = (recording.weights < -1e-6) | (recording.weights > 1 + 1e-6)
+        is_out_of_range = (weights < -1e-6) | (weights > 1 + 1e-6)
     if is_out_of_range.any():
         row, column = np.argwhere(is_out_of_range)[0].tolist()
         count, shape = int(is_out_of_range.sum()), recording.shape_names[column]
         message = f"{counted(count, 'weight')} outside 0 to 1, the first {shape} = "
-        message += f"{recording.weights[row, column]:g}"
-        hint = _scale_hint(recording.weights, shape)
+        message += f"{weights[row, column]:g}"
+        hint = "correct gain, offset and clamp of these shapes in the remap file"
+        if weights[row, column] == recording.weights[row, column]:
+            is_remapped = (weights != recording.weights) & np.isfinite(weights)
+            hint = _scale_hint(weights[:, ~is_remapped.any(axis=0)], shape)
+        else:
+            message += " after the remap file"
         file.warn("LLF109", message, hint, int(recording.line_numbers[row]))
 
 

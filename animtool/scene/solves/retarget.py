@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 # Warnings about the take that make its result doubtful, in words of the verdict.
 SUSPECT_SOURCES = {
+    "BVH115": "the root channels of the take",
+    "BVH116": "an offset of the take",
     "MOT210": "left and right of the take",
     "MOT213": "the unit of the take",
     "MOT214": "the up axis of the take",

@@ -16,7 +16,7 @@ from animtool.core.names import name_hint
 from animtool.core.quantities import plain_number
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.core.timecode import seconds_between
+from animtool.core.timecode import has_drop_frame, seconds_between
 from animtool.edit.combine import sample_other_take
 from animtool.edit.travel import nearby_positions
 from animtool.maths.curves import Curves
@@ -176,7 +176,10 @@ def _delay(first_source: JoinedSource, other_source: JoinedSource) -> Fraction:
         try:
             seconds_between(*starts[-1], *starts[-1])
         except ValueError as error:
-            hint = f"it counts {rate_label(rate)}; set another rate with timecode_fps"
+            hint = f"the rate is {rate_label(rate)}; set another with timecode_fps"
+            if ";" in starts[-1][0] and not has_drop_frame(rate):
+                hint = f"write {starts[-1][0].replace(';', ':')}, or the drop-frame "
+                hint += "rate that the time code counts, such as timecode_fps: 29.97"
             raise OptionError(
                 source.entry.location.fault("SCN033", str(error), hint)
             ) from error

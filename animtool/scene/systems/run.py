@@ -215,11 +215,13 @@ class SystemRun:
             tolerance = STEP_TOLERANCE * run.step_length
             if run.state.step_count and times[0] < resume_time - tolerance:
                 frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
-                reason = _between_frames_text(frame, run.step_length, fps)
-                message = f"its state is from frame {frame:g}, {reason}but frame "
+                # The last step may end a fraction of a frame before a saved frame.
+                saved_frame = math.ceil(frame - STEP_TOLERANCE)
+                message = f"its saved state starts at frame {saved_frame}, but frame "
                 message += f"{float(codes[0]):g} is requested"
-                frames = f"{math.ceil(frame - STEP_TOLERANCE)}-{float(codes[-1]):g}"
-                hint = argument("frame_range", frames)
+                frames = f"{saved_frame}-{float(codes[-1]):g}"
+                hint = f"request {argument('frame_range', frames)}, or remove resume "
+                hint += f"to simulate from frame {float(codes[0]):g}"
                 faults.append(system.location.fault("SIM035", message, hint))
         if faults:
             raise FormatError(faults)
@@ -343,16 +345,6 @@ def _number_sizes(node: Any, key_path: str) -> Iterator[tuple[str, float]]:
             return
         for i, value in enumerate(node):
             yield from _number_sizes(value, f"{key_path}[{i}]")
-
-
-def _between_frames_text(frame: float, step_length: float, fps: Fraction) -> str:
-    """Return the reason why a state is between frames; empty if it is on a frame."""
-    if abs(frame - round(frame)) < 1e-6 or step_length * float(fps) > 1:
-        return ""
-    step_text = f"{step_length:.4g} s, which does not divide a frame"
-    return (
-        f"the end of its last step before frame {math.ceil(frame)} (of {step_text}), "
-    )
 
 
 def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:

@@ -13,8 +13,10 @@ from animtool.capture.markers.spikes import find_spikes
 from animtool.core.arguments import argument
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, counted, listed, percent_text
+from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.rules import Kind
+from animtool.core.units import confused_units
 from animtool.motion.markers import Markers
 from animtool.validation.subjects.subject import CheckedFile
 
@@ -25,6 +27,8 @@ MAX_UNLABELLED_FRACTION = 0.1
 # Plausible extents of the markers in a frame [m]: larger than any stage, and smaller
 # than a face. A person in a wrong unit is 10 or 1000 times as large or small.
 MAX_EXTENT, MIN_EXTENT = 30.0, 0.03
+# Diagonal of a person's markers [m]: typical, and from a face to spread arms.
+TYPICAL_EXTENT, PERSON_EXTENTS = 1.9, (0.15, 3.5)
 # Two markers that are nearer than this in most frames are the same point [m].
 MAX_SAME_DISTANCE = 1e-4
 MIN_SAME_FRACTION = 0.5
@@ -120,12 +124,20 @@ def implausible_extent(subject: MarkersSubject) -> Iterator[Fault]:
         return
     median_extent = float(np.median(extents))
     if median_extent > MAX_EXTENT:
-        extent_text = f"{median_extent:.3g} m apart: too far for a capture volume"
+        extent_text = f"{length_text(median_extent)} apart: too far for a capture "
+        extent_text += "volume"
     elif median_extent < MIN_EXTENT:
-        extent_text = f"{1000 * median_extent:.3g} mm apart: too close"
+        extent_text = f"{length_text(median_extent)} apart: too close"
     else:
         return
+    # The file's own unit is unknown: the numbers fit a person in another one.
+    written_unit, read_unit = confused_units(median_extent / TYPICAL_EXTENT)
+    likely_extent = median_extent * written_unit.meters / read_unit.meters
     hint = f"set the unit of its lengths with {argument('source.unit')}"
+    if PERSON_EXTENTS[0] <= likely_extent <= PERSON_EXTENTS[1]:
+        hint = f"if it is in {written_unit}, read as {read_unit}, set "
+        hint += f"{argument('source.unit', str(written_unit))}: they are then "
+        hint += f"{length_text(likely_extent)} apart"
     yield subject.fault("MKR204", f"markers of a frame are {extent_text}", hint)
 
 

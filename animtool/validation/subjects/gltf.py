@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import AnimtoolError, Fault
+from animtool.core.errors import AnimtoolError, Fault, Severity
 from animtool.core.files.reading import record_input
 from animtool.core.rules import Kind
 from animtool.formats.characters.choice import find_characters
@@ -86,6 +86,7 @@ def _clip_subjects(
         except AnimtoolError as error:
             faults += error.faults
             continue
+        faults += (n for n in frames.notices if n.severity is Severity.WARNING)
         take = build_stream(built_rig, sampler, frames).collect()
         subject = clip_subject(gltf.path, built_rig.rig, take, animation.pointer)
         subjects.append(_trim_to_keys(subject, sampler, animation, frames))

@@ -92,6 +92,15 @@ def opencv(camera: Camera) -> str:
     )
 
 
+def test_a_template_is_not_a_cameras_file(tmp_path: Path) -> None:
+    path = written(tmp_path / "hero.markers.yaml", "markers: animtool/1\nrig: a.yaml\n")
+    with pytest.raises(FormatError) as caught:
+        load_all_cameras([path])
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("DOC009", (1,))
+    assert "--template" in (fault.hint or "")
+
+
 def test_opencv(tmp_path: Path) -> None:
     paths = [
         written(tmp_path / f"{camera.name}.yml", opencv(camera))
@@ -232,7 +241,7 @@ def test_what_is_no_calibration(tmp_path: Path) -> None:
     for name, text, code in (
         ("a.toml", "[cam\n", "CAM003"),
         ("b.toml", "", "CAM003"),
-        ("c.yaml", "rig: animtool/1\n", "CAM003"),
+        ("c.yaml", "rig: animtool/1\n", "DOC009"),
         ("d.json", '{"cameras": []}', "CAM003"),
         ("e.yml", "%YAML:1.0\n---\nK: !!opencv-matrix\n", "CAM003"),
         ("f.json", "[1, 2]", "DOC007"),

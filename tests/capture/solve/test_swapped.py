@@ -62,3 +62,16 @@ def test_another_subject_is_no_swap() -> None:
     longer[..., 1] *= 1.3
     found = codes(replace(markers, positions=longer))
     assert "SOL109" not in found
+
+
+def test_mirrored_offsets_are_named() -> None:
+    markers = captured(moving(40, 100, 3)).markers
+    mirrored = replace(
+        TEMPLATE,
+        markers=tuple(
+            replace(m, offset=(-m.offset[0], *m.offset[1:])) for m in TEMPLATE.markers
+        ),
+    )
+    notices = solve_markers(markers, FIGURE, mirrored).notices
+    hints = [notice.hint for notice in notices if notice.code == "SOL107"]
+    assert hints == ["negate x of all offsets in the template"]

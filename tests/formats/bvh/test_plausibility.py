@@ -1,4 +1,4 @@
-"""Rotations of a BVH in radians, and what is none."""
+"""Implausible rotations, root channels and offsets of a BVH, and plausible ones."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from animtool.formats.bvh.read import read_bvh
+from animtool.validation.run import validate
 
 WALK = Path(__file__).parents[3] / "samples/walk/walk.bvh"
 
@@ -82,3 +83,45 @@ def test_positions_below_a_root_are_ignored_without_a_note(tmp_path: Path) -> No
     path = tmp_path / "a.bvh"
     path.write_text(text, "utf-8")
     assert "BVH113" not in [n.code for n in read_bvh(path, positions="offsets").notices]
+
+
+def exchanged(rows: np.ndarray) -> np.ndarray:
+    return np.hstack([rows[:, 3:6], rows[:, :3], rows[:, 6:]])
+
+
+@pytest.mark.parametrize(
+    ("scale", "change", "found"),
+    [
+        (1.0, exchanged, True),
+        (1.0, lambda rows: rows, False),
+        (1.0, lambda rows: exchanged(rows)[:1], False),
+    ],
+)
+def test_exchanged_root_channels(
+    scale: float, change: Change, found: bool, tmp_path: Path
+) -> None:
+    path = changed(tmp_path / "a.bvh", change, scale)
+    codes = [fault.code for fault in validate(path)]
+    assert codes.count("BVH115") == found
+    if found:
+        assert "MOT214" not in codes
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "joint"),
+    [
+        ("0.0000 -44.0000 0.0000", "0.0000 44.0000 0.0000", "LeftLeg"),
+        ("29.0000 0.0000 0.0000", "-29.0000 0.0000 0.0000", "LeftForeArm"),
+        ("0.0000 -44.0000 0.0000", "0.0000 -46.0000 0.0000", None),
+    ],
+)
+def test_an_offset_with_the_sign_of_the_other_side(
+    old: str, new: str, joint: str | None, tmp_path: Path
+) -> None:
+    path = tmp_path / "a.bvh"
+    path.write_text(WALK.read_text("utf-8").replace(old, new, 1), "utf-8")
+    notices = read_bvh(path).notices
+    found = [notice for notice in notices if notice.code == "BVH116"]
+    assert len(found) == (joint is not None)
+    for notice in found:
+        assert repr(joint) in (notice.hint or "")

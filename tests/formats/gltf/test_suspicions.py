@@ -9,6 +9,7 @@ import pytest
 from support.gltf import Maker, as_glb, chain, skinned, turned
 
 from animtool.formats.gltf.read import read_gltf
+from animtool.validation.run import validate
 
 NAMES = ["hips", "chest", "head"]
 
@@ -53,6 +54,7 @@ def test_equal_inverse_bind_matrices(
     [
         (1 / 24, 20, False),
         (1.0, 20, True),
+        (0.99999994, 20, True),
         (2.0, 9, True),
         (41.7, 12, True),
         (1.0, 8, False),
@@ -71,3 +73,5 @@ def test_key_times_in_another_unit(
     made.json["scenes"], made.json["scene"] = [{"nodes": joints[:1]}], 0
     codes = codes_of(tmp_path / "a.glb", made.done())
     assert ("GLT120" in codes) == expected
+    checked = [fault.code for fault in validate(tmp_path / "a.glb")]
+    assert checked.count("GLT120") == expected

@@ -147,6 +147,23 @@ def test_percentages_are_told_from_a_few_high_weights(write: Write) -> None:
         assert ("gain: 0.01" in (notice.hint or "")) is is_percentage
 
 
+def test_percentages_are_not_reported_of_remapped_shapes(
+    write: Write, tmp_path: Path
+) -> None:
+    file = write(rows(10, 20, 30).replace(",0.", ",30."))
+    pairs = [
+        f"- {{source: {shape.name}, target: {shape.name}, gain: 0.01}}\n"
+        for shape in read_livelink(file).rig.shapes
+    ]
+    remap = tmp_path / "percent.remap.yaml"
+    for count, expected in ((len(pairs), False), (1, True)):
+        text = "".join(pairs[:count])
+        remap.write_text(f"remap: animtool/1\nshapes:\n{text}", "utf-8")
+        notices = read_livelink(file, remap=remap).notices
+        hints = [notice.hint or "" for notice in notices if notice.code == "LLF109"]
+        assert ["gain: 0.01" in hint for hint in hints] == ([True] if expected else [])
+
+
 def labels(count: int, fps: int, step: int = 1, first: int = 0) -> list[str]:
     made = []
     for i in range(first, first + count * step, step):

@@ -360,6 +360,7 @@ def test_a_bvh_meets_the_rig_that_the_scene_names(place: Path) -> None:
     [
         ("face.clip.yaml", "none.clip.yaml", "DOC015", 4),
         ("10:00:00:00", "25:00:00:00", "SCN033", 3),
+        ("10:00:00:00", "10:00:00;10", "SCN033", 3),
         (', timecode: "10:00:00:00"', "", "SCN034", 3),
         ('"10:00:00:00"}\noutput', '"11:00:00:00"}\noutput', "SCN035", 4),
         ("face.clip.yaml,", "face.clip.yaml, tracks: {shapes: [x]},", "SCN037", 4),

@@ -99,9 +99,7 @@ def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
     assert bake(tmp_path, "one", "save: half.npz\n    save_at: 7").code == 0
     done = bake(tmp_path, "two", "resume: half.npz")
     assert done.code == 3
-    assert "SIM035 systems[0].flocks: its state is from frame 7, but frame 1 is" in (
-        done.stderr
-    )
+    assert "SIM035 systems[0].flocks: its saved state starts at frame 7" in done.stderr
     assert "--range 7-12" in done.stderr
 
 
@@ -112,8 +110,8 @@ def test_a_state_between_frames_names_the_frame_that_was_asked_for(
     assert bake(tmp_path, "one", given).code == 0
     done = bake(tmp_path, "two", "resume: half.npz\n    step: 0.013")
     assert done.code == 3
-    words = "the end of its last step before frame 7 (of 0.013 s, which does not divide"
-    assert words in done.stderr
+    assert "its saved state starts at frame 7, but frame 1" in done.stderr
+    assert "--range 7-12" in done.stderr
 
 
 def test_a_frame_that_is_not_written_is_said(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -36,6 +37,16 @@ def test_a_planted_fault_is_found(tmp_path: Path, code: str) -> None:
     path = tmp_path / "take.c3d"
     assert found(MARKERS[code](sound()), path) == {code}
     assert found(NEAR[code](sound()), path) == set()
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1000.0, "mm"), (0.001, "m")])
+def test_the_likely_unit_is_named(tmp_path: Path, factor: float, unit: str) -> None:
+    path = tmp_path / "take.trc"
+    markers = sound()
+    scaled = replace(markers, positions=factor * markers.positions)
+    write_markers(scaled, path, overwrite=True)
+    [fault] = [fault for fault in validate(path) if fault.code == "MKR204"]
+    assert f'unit="{unit}":' in str(fault)
 
 
 def test_what_the_reader_refuses_is_a_finding(tmp_path: Path) -> None:
