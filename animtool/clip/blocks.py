@@ -92,7 +92,7 @@ class _BlockSampler:
             key = notice.fault.code, notice.target
             if (
                 key not in self._worst_notices
-                or notice.amount > self._worst_notices[key].amount
+                or notice.excess > self._worst_notices[key].excess
             ):
                 self._worst_notices[key] = notice
         return sampled_motion.motion
@@ -148,7 +148,7 @@ class _BlockLayout:
                 is_moving[channel.animated] = True
 
     def covers(self, targets: set[tuple[str, int]]) -> bool:
-        """Return whether all targets, as channel name and row, are marked as moving."""
+        """Return whether all targets, pairs of channel name and row, are moving."""
         return all(
             part in self.is_moving_by_part and self.is_moving_by_part[part][i]
             for part, i in targets

@@ -67,8 +67,8 @@ def solve_take_controls(
     goals, unreachable_targets = required_control_values(
         rig, joints, set(start_targets), start_targets, tolerances
     )
-    shapes = uncombined_weights_of(take, rig)
-    for shape, value in shapes.items():
+    weights_by_shape = uncombined_weights_of(take, rig)
+    for shape, value in weights_by_shape.items():
         if f"shape/{shape}" in start_targets:
             goals[f"shape/{shape}"] = value
     goals = {t: np.broadcast_to(value, (frame_count,)) for t, value in goals.items()}
@@ -79,8 +79,8 @@ def solve_take_controls(
     values = {
         c.name: _snap_to_constant(solution.values[c.name], c.default) for c in controls
     }
-    released_names = () if take_controls is not None else solution.released_names
-    return SolvedControls(values, solution.solved_names, released_names)
+    reset_names = () if take_controls is not None else solution.reset_names
+    return SolvedControls(values, solution.solved_names, reset_names)
 
 
 def keys_of_control_channel(

@@ -121,8 +121,8 @@ _Note = tuple[str, str, str | None]
 
 def _released_notes(solution: SolvedControls) -> Iterator[_Note]:
     """Yield a note on controls that have no values that reproduce their targets."""
-    if solution.released_names:
-        names = listed(solution.released_names, MAX_NAMES)
+    if solution.reset_names:
+        names = listed(solution.reset_names, MAX_NAMES)
         message = f"controls not keyed: no values of {names} reproduce what they drive"
         hint = "the joints and shapes that they drive have keys instead"
         yield "CLIP115", message, hint

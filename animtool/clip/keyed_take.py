@@ -165,9 +165,9 @@ class _KeyingJob:
         exact_tracks = joint_tracks(
             rig, self.joint_motions, exact_targets, exact_targets, self.tolerances
         )
-        keyed_tracks = self._keyed_tracks(exact_tracks)
+        keyed_channels = self._keyed_channels(exact_tracks)
         controls = fit_controls(
-            take, rig, self.solution.values, keyed_tracks, bounds, weight_tolerance
+            take, rig, self.solution.values, keyed_channels, bounds, weight_tolerance
         )
         driven_values = evaluate_controls(rig.controls, controls.values_by_name)
         fitted_targets = driven_values.targets | unkeyable_values
@@ -183,7 +183,7 @@ class _KeyingJob:
             weight_tolerance=weight_tolerance,
             base=self.base,
             tracks=sort_tracks(tracks),
-            start=self._start_motion(controls, keyed_tracks),
+            start=self._start_motion(controls, keyed_channels),
         )
         reduction = replace(
             reduction,
@@ -213,7 +213,7 @@ class _KeyingJob:
             values[f"joint/{rig.names[j]}.{part}"] = self.joint_motions[j].coordinate
         return values
 
-    def _keyed_tracks(
+    def _keyed_channels(
         self, tracks: list[KeyTrack]
     ) -> frozenset[tuple[ChannelKind, int]]:
         """Return the keyed channels, and those of mimic joints of keyed joints."""
@@ -226,7 +226,9 @@ class _KeyingJob:
         return frozenset(keyed_channels)
 
     def _start_motion(
-        self, controls: FittedControls, keyed_tracks: frozenset[tuple[ChannelKind, int]]
+        self,
+        controls: FittedControls,
+        keyed_channels: frozenset[tuple[ChannelKind, int]],
     ) -> Motion:
         """Return the take with joints driven by the fitted control keys."""
         times = self.take.clock.times
@@ -235,7 +237,9 @@ class _KeyingJob:
         }
         exact_motion = sample_values(exact_values, self.rig, times).motion
         fitted_motion = sample_values(controls.values, self.rig, times).motion
-        return driven_pose(self.take.motion, fitted_motion, exact_motion, keyed_tracks)
+        return driven_pose(
+            self.take.motion, fitted_motion, exact_motion, keyed_channels
+        )
 
     def _scale_tracks(self) -> list[KeyTrack]:
         """Return key tracks of joint scales, which controls do not change."""

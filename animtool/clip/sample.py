@@ -41,7 +41,7 @@ class ClipNotice:
     fault: Fault  # the fault, without a location
     target: str  # ``control/NAME`` or ``joint/NAME``
     frame: float | None = None  # the worst frame; None if it concerns all frames
-    amount: float = 0.0  # excess in the worst frame [rad], [m], [1]
+    excess: float = 0.0  # in the worst frame [rad], [m], [1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +49,7 @@ class SampledMotion:
     """The sampled motion of a clip, with notices."""
 
     motion: Motion  # joints, shapes and controls; static values are stored once
-    # Controls out of range and exceeded limits, with the worst frame and amount of
+    # Controls out of range and exceeded limits, with the worst frame and excess of
     # each; joints whose keys override a mimic or the contribution of a moving control.
     clip_notices: list[ClipNotice]
 
@@ -228,8 +228,8 @@ def _range_notices(
                 hint = percent_hint(value)
             fault = warning("CLIP101", message, hint)
             target = f"control/{control.name}"
-            amount = float(abs(excess[worst_index]))
-            notices.append(ClipNotice(fault, target, float(frame), amount))
+            worst_excess = float(abs(excess[worst_index]))
+            notices.append(ClipNotice(fault, target, float(frame), worst_excess))
     return notices
 
 

@@ -34,7 +34,8 @@ else:
     ExtrapolationName = Literal[tuple(map(str, curves.Extrapolation))]
     ParametrizationName = Literal[tuple(map(str, tangents.Parametrization))]
     EulerOrder = Literal[ORDERS]
-Handle = Annotated[list[Real | list[Real]], Len(2, 2)]
+# Time [frame] and value of a handle, relative to its key.
+TangentHandle = Annotated[list[Real | list[Real]], Len(2, 2)]
 
 
 class ClipUnitsModel(FileModel):
@@ -66,14 +67,14 @@ class KeyModel(FileModel):
         "step",
         default=None,
     )
-    in_: TangentName | Handle | None = Field(
+    in_: TangentName | TangentHandle | None = Field(
         default=None,
         alias="in",
         description="Incoming tangent: a rule, or a handle [dt, dv] from the key, dt "
         "≤ 0 frames. Default: the channel's `tangents`.",
         examples=[[-2.0, 5.0]],
     )
-    out: TangentName | Handle | None = key(
+    out: TangentName | TangentHandle | None = key(
         "Outgoing tangent: likewise, dt ≥ 0.", "flat", default=None
     )
     tcb: Vector | None = key(

@@ -254,7 +254,9 @@ class DriverRun:
         uncombined_weights |= driver_values.shapes
         new_weights = add_combinations(shapes, uncombined_weights)
         shape_indices = {shape.name: i for i, shape in enumerate(shapes)}
-        changed_shapes = dict.fromkeys([*driver_values.shapes, *plan.combined_shapes])
+        changed_shapes = dict.fromkeys(
+            [*driver_values.shapes, *plan.combination_shapes]
+        )
         for name in driver_values.shapes:
             if source_weights[name].any():
                 differences = np.abs(new_weights[name] - source_weights[name])

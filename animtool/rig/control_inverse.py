@@ -36,7 +36,7 @@ class SolvedControls:
     solved_names: tuple[str, ...]
     # Controls reset to their start value, because their targets also move
     # independently, or in a way that no value explains.
-    released_names: tuple[str, ...]
+    reset_names: tuple[str, ...]
 
 
 def keys_of_controls(
@@ -91,28 +91,28 @@ def solve_controls(
     """
     values = {name: np.array(value, np.float64) for name, value in start.items()}
     solved_names: set[str] = set()
-    released_names: set[str] = set()
+    reset_names: set[str] = set()
     for group in _coupled_groups(controls):
         group_controls = [control for control in controls if control.name in group]
         problem = _GroupProblem(group_controls, targets, tolerances, keyed_targets)
         start_values = {name: values[name] for name in problem.controls_by_name}
         solved_values, unsolved_names = _solve_group(problem, start_values)
         values |= solved_values
-        released_names |= unsolved_names
+        reset_names |= unsolved_names
         driving_names = {control.name for control in group_controls if control.drives}
         solved_names |= driving_names - unsolved_names
     order = [control.name for control in controls]
     return SolvedControls(
         values,
         tuple(name for name in order if name in solved_names),
-        tuple(name for name in order if name in released_names),
+        tuple(name for name in order if name in reset_names),
     )
 
 
 def _solve_group(
     problem: _GroupProblem, start: dict[str, FloatArray]
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Solve a group of coupled controls; return values and released controls."""
+    """Solve a group of coupled controls; return values and reset controls."""
     if not problem.missed_targets(start):
         return start, set()
     solvable_names = [name for name in start if name not in problem.master_names]
@@ -125,7 +125,7 @@ def _solve_group(
         trial_values = candidate.solve(start if is_shifted else values, names)
         if not candidate.missed_targets(trial_values):
             values = trial_values
-    released_names: set[str] = set()
+    reset_names: set[str] = set()
     while True:
         missed_targets = problem.missed_targets(values)
         targets = problem.targets_by_control
@@ -133,19 +133,19 @@ def _solve_group(
             name for name in solvable_names if targets[name] & missed_targets
         }
         if not unsolved_names:
-            values, released_names = _solve_released(problem, values, released_names)
-            return _reset_if_unneeded(problem, values, start), released_names
-        released_names |= unsolved_names
+            values, reset_names = _solve_reset_controls(problem, values, reset_names)
+            return _reset_if_unneeded(problem, values, start), reset_names
+        reset_names |= unsolved_names
         solvable_names = [name for name in solvable_names if name not in unsolved_names]
         values |= {name: start[name] for name in unsolved_names}
         values = problem.solve(values, solvable_names)
 
 
-def _solve_released(
-    problem: _GroupProblem, values: dict[str, FloatArray], released_names: set[str]
+def _solve_reset_controls(
+    problem: _GroupProblem, values: dict[str, FloatArray], reset_names: set[str]
 ) -> tuple[dict[str, FloatArray], set[str]]:
-    """Solve again, one by one, the controls that were released with their group."""
-    unsolved_names = set(released_names)
+    """Solve again, one by one, the controls that were reset with their group."""
+    unsolved_names = set(reset_names)
     for control in problem.controls:
         name = control.name
         if name in unsolved_names:

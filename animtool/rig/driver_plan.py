@@ -164,8 +164,8 @@ class DriverPlan:
     joints: tuple[int, ...]  # driven joints, and joints that mimic one of them
     controls: tuple[str, ...]  # driven controls, and controls that one of them drives
     shapes: tuple[str, ...]  # driven shapes, and shapes that such a control drives
-    # Shapes that combine one of these, or are one of these and combine others.
-    combined_shapes: tuple[str, ...]
+    # Combination shapes that are driven, or combine a driven shape.
+    combination_shapes: tuple[str, ...]
     order: tuple[str, ...]  # all targets except shapes
     # Joints that each driven joint reads, directly or through controls.
     joints_read: Mapping[str, tuple[str, ...]]

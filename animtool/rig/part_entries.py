@@ -89,11 +89,11 @@ class PartReader:
             if shape.mesh is not None:
                 self._check_known((*location, "mesh"), shape.mesh, meshes, "mesh")
             row_count = self.point_counts.get(shape.mesh or "")
-            vertices = self.array_reader.read_optional_array(
+            vertex_indices = self.array_reader.read_optional_array(
                 location, shape.vertices, "vertices", (None,), row_count
             )
-            if vertices is not None:
-                row_count = self.array_reader.row_count(vertices)
+            if vertex_indices is not None:
+                row_count = self.array_reader.row_count(vertex_indices)
             delta_shape = (row_count, 3)
             for k, name in enumerate(shape.combine):
                 self._check_known((*location, "combine", k), name, names, "shape")
@@ -132,7 +132,7 @@ class PartReader:
                     ),
                     tuple(inbetweens),
                     tuple(shape.combine),
-                    vertices,
+                    vertex_indices,
                     self._read_driver((*location, "driven"), shape.driven),
                 )
             )

@@ -65,7 +65,7 @@ class Placement:
         )
 
     def transform_points(self, points: FloatArray) -> FloatArray:
-        """Return transformed points; ``(F, N, 3)`` if animated."""
+        """Transform points by the placement; ``(F, N, 3)`` if it is animated."""
         sizes, rotations, translations = self._broadcastable_parts()
         # Skipping identities keeps values bit-exact, including the signs of zeros.
         scaled_points = points if (self.sizes == 1.0).all() else sizes * points
@@ -75,7 +75,7 @@ class Placement:
         return np.asarray(rotated_points + translations)
 
     def transform_rotations(self, rotations: FloatArray) -> FloatArray:
-        """Return transformed rotations; ``(F, N, 4)`` if animated."""
+        """Rotate quaternions by the placement; ``(F, N, 4)`` if it is animated."""
         return so3.multiply(self._broadcastable_parts()[1], rotations)
 
     def _broadcastable_parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:

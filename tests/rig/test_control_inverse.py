@@ -46,7 +46,7 @@ def test_a_control_alone_is_exact(drives) -> None:
     found = solved([control], {"c": RAMP})
     assert_allclose(found.values["c"], RAMP, atol=1e-10)
     assert found.solved_names == ("c",)
-    assert not found.released_names
+    assert not found.reset_names
 
 
 def test_a_control_without_a_range_is_solved_for_far_off() -> None:
@@ -70,7 +70,7 @@ def test_controls_that_share_targets_are_solved_together() -> None:
 def test_values_stay_in_the_range() -> None:
     control = Control("c", 0.0, 0.5, 0.0, (drive("joint/a.angle", "c"),))
     found = solved([control], {"c": RAMP})
-    assert found.released_names == ("c",)
+    assert found.reset_names == ("c",)
     assert not found.values["c"].any()
 
 
@@ -80,7 +80,7 @@ def test_a_control_whose_targets_disagree_is_released_alone() -> None:
         Control("b", -9, 9, 0, (drive("shape/t", "b"), drive("shape/u", "b"))),
     ]
     found = solved(controls, {"a": 0 * RAMP, "b": RAMP}, other={"shape/s": RAMP**2})
-    assert found.released_names == ("a",)
+    assert found.reset_names == ("a",)
     assert_allclose(found.values["b"], RAMP, atol=1e-10)
     assert not found.values["a"].any()
 
@@ -88,7 +88,7 @@ def test_a_control_whose_targets_disagree_is_released_alone() -> None:
 def test_a_target_with_keys_of_its_own_is_no_evidence() -> None:
     control = Control("c", 0, 1, 0, (drive("joint/a.angle", "c"),))
     found = solved([control], {"c": RAMP}, keyed_targets={"joint/a.angle"})
-    assert found.released_names == ("c",)
+    assert found.reset_names == ("c",)
 
 
 def test_a_start_that_explains_all_is_left_as_it_is() -> None:
@@ -116,7 +116,7 @@ def test_whole_turns_of_one_angle_place_the_others() -> None:
     found = solve_controls(
         [control], wanted, dict.fromkeys(wanted, 1e-6), {"c": np.zeros(7)}
     )
-    assert not found.released_names
+    assert not found.reset_names
     assert_allclose(found.values["c"], values, atol=1e-9)
 
 
@@ -125,7 +125,7 @@ def test_where_an_expression_has_no_value_nothing_is_solved() -> None:
     found = solve_controls(
         [control], {"joint/a.angle": RAMP}, {"joint/a.angle": 1e-6}, {"c": 0 * RAMP}
     )
-    assert found.released_names == ("c",)
+    assert found.reset_names == ("c",)
     assert np.isfinite(found.values["c"]).all()
 
 
@@ -140,4 +140,4 @@ def test_rounding_moves_no_control_that_is_still() -> None:
     found = solve_controls(controls, wanted, dict.fromkeys(wanted, 1e-6), start)
     assert not found.values["b"].any()
     assert_allclose(found.values["a"], RAMP, atol=1e-6)
-    assert not found.released_names
+    assert not found.reset_names

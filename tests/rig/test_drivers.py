@@ -234,7 +234,7 @@ def test_driven_controls_drive_shapes_and_controls() -> None:
     )
     plan = plan_of(rig)
     assert (plan.controls, plan.shapes) == (("bend", "more"), ("a", "b"))
-    assert plan.combined_shapes == ("c",)
+    assert plan.combination_shapes == ("c",)
     done = evaluate_drivers(plan, lambda _: np.array([0.25]), {"more": np.array([9.0])})
     assert done.controls["more"].tolist() == [1.0]
     assert done.shapes["b"].tolist() == [1.0]

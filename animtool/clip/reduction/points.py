@@ -123,7 +123,7 @@ class TrackBudget:
 
     @staticmethod
     def from_track(track: KeyTrack, tolerance: float) -> TrackBudget:
-        """Return a track's budget with keys fitted to one tolerance in all frames."""
+        """Return a track with keys fitted to the same tolerance in all frames."""
         ones = np.ones(len(track.samples))
         keys = fit_keys(track.samples, tolerance, bounds=track.range)
         budget = TrackBudget(track, tolerance, ones, keys, 0 * ones, track.samples)
