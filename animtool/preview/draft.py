@@ -103,7 +103,7 @@ class PageDraft:
 
     def add_positions(self, positions: Array) -> int:
         """Add a quantized stream of positions ``(F, ...)`` [m]; return its index."""
-        data = quantize_range(positions.reshape(len(positions), -1), period=3)
+        data = quantize_range(positions.reshape(len(positions), -1), column_period=3)
         self.record_error(position=data.error)
         return self.packer.add(data)
 

@@ -125,7 +125,9 @@ def _add_prototype(
         "r": draft.packer.add(units),
         "s": None
         if np.allclose(scale_rows, 1.0, atol=1e-6)
-        else draft.packer.add(quantize_range(scale_rows, SCALE_TOLERANCE, period=3)),
+        else draft.packer.add(
+            quantize_range(scale_rows, SCALE_TOLERANCE, column_period=3)
+        ),
         "visible": None,
     }
     draft.instances.append(entry)

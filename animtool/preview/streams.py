@@ -72,20 +72,22 @@ def quantize_units(values: FloatArray) -> QuantizedValues:
 
 
 def quantize_range(
-    values: Array, tolerance: float = POSITION_TOLERANCE, *, period: int = 0
+    values: Array, tolerance: float = POSITION_TOLERANCE, *, column_period: int = 0
 ) -> QuantizedValues:
     """Quantize columns over their range; use float32 if that is too coarse.
 
     Args:
         values: ``(F, width)``; non-finite values are gaps.
         tolerance: Largest error allowed for integers.
-        period: Number of columns that share a range, such as 3 for points; 0 gives each
-            column its own.
+        column_period: Columns this far apart share a range, such as 3 for the x of all
+            points; 0 gives each column its own.
     """
     width = values.shape[1]
     float32_values = np.asarray(values, np.float32).astype(np.float64)
     float32_values = np.where(np.isfinite(float32_values), float32_values, np.nan)
-    rows = float32_values.reshape(-1, period) if period else float32_values
+    rows = (
+        float32_values.reshape(-1, column_period) if column_period else float32_values
+    )
     if not rows.size:
         return QuantizedValues(np.zeros(values.shape, "<f4"), "f32")
     has_gaps = bool(np.isnan(rows).any())
@@ -104,7 +106,7 @@ def quantize_range(
     steps = np.rint((rows - offset) / divisor)
     integers = np.where(np.isnan(steps), STORED_NAN, steps).astype("<i2")
     error = _largest_difference(offset + scale * steps - values.reshape(rows.shape))
-    if width > 1 and not period and not np.ptp(scale) and not np.ptp(offset):
+    if width > 1 and not column_period and not np.ptp(scale) and not np.ptp(offset):
         scale, offset = scale[:1], offset[:1]
     integers = integers.reshape(values.shape)
     scale_and_offset = _single_or_list(scale), _single_or_list(offset)
@@ -182,7 +184,7 @@ class StreamPacker:
 
     def add_static_range(self, values: FloatArray) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""
-        data = quantize_range(np.reshape(values, (-1, 3)), period=3)
+        data = quantize_range(np.reshape(values, (-1, 3)), column_period=3)
         return self.add(replace(data, stored_values=data.stored_values.reshape(1, -1)))
 
     @property

@@ -198,7 +198,9 @@ def _panel_of(table: TrialTable) -> Panel:
         error = table.error_of(row)
         if error is not None:
             cost = getattr(row, COST_LABELS[table.cost][0])
-            point = PrecisionPoint(cost, error, row.chosen, row.best, row.recommended)
+            point = PrecisionPoint(
+                cost, error, row.chosen, row.is_pareto_optimal, row.recommended
+            )
             points_by_method.setdefault(row.setting.method, []).append(point)
     curves = tuple(
         PrecisionCurve(name, tuple(points)) for name, points in points_by_method.items()

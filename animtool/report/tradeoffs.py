@@ -62,7 +62,11 @@ _ADVICE_LINES: tuple[Line, ...] = (
 
 
 def _marks_text(row: TrialRow) -> str:
-    is_marked_by_symbol = {">": row.chosen, "*": row.best, "+": row.recommended}
+    is_marked_by_symbol = {
+        ">": row.chosen,
+        "*": row.is_pareto_optimal,
+        "+": row.recommended,
+    }
     return "".join(mark for mark, is_marked in is_marked_by_symbol.items() if is_marked)
 
 

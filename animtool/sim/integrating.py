@@ -20,7 +20,7 @@ from animtool.sim.checks import (
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import StepControl
 from animtool.sim.modes import allowed_step, modes_at
-from animtool.sim.options import IntegrateOptions, check_options, finer_options
+from animtool.sim.options import IntegrateOptions, checked_integrator, finer_options
 from animtool.sim.run import IntegrationRun, advance_evenly
 from animtool.sim.system import FirstOrder, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Stats, Status, Trajectory
@@ -117,7 +117,7 @@ def integrate(
     [0.0, -4.905, -19.62]
     """
     options = options or IntegrateOptions()
-    integrator = check_options(options)
+    integrator = checked_integrator(options)
     sample_times = check_times(times, checkpoint)
     equations = Equations(system)
     check_supported(equations, integrator)

@@ -66,7 +66,7 @@ class IntegrateOptions:
         return self.rtol if self.absolute is None else self.absolute
 
 
-def check_options(options: IntegrateOptions) -> Integrator:
+def checked_integrator(options: IntegrateOptions) -> Integrator:
     """Return the integrator that options name; raise if they are invalid."""
     integrator = _find_named_integrator(options)
     is_fixed = integrator.control is StepControl.FIXED

@@ -181,7 +181,7 @@ def simulated(reference: Reference | None) -> Panel:
             ("rk4", 0.1, 1e-3), ("euler", 0.2, 1e-1), ("rk4", 0.3, 1e-5), ("x", 9, None)
         )
     ]  # fmt: skip
-    rows[2] = replace(rows[2], best=True, chosen=True)
+    rows[2] = replace(rows[2], is_pareto_optimal=True, chosen=True)
     part = TrialTable("rope", "springs", 1.0, 3, 4, 1.0, reference, rows)
     (panel,) = panels_of([part])
     return panel

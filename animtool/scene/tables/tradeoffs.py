@@ -198,7 +198,7 @@ def _row_to_compare(table: TrialTable) -> TrialRow | None:
     if table.recommended is not None and not table.recommended.chosen:
         return table.recommended
     rows = [row for row in table.rows if row.error is not None and not row.chosen]
-    return next(iter([row for row in rows if row.best] or rows), None)
+    return next(iter([row for row in rows if row.is_pareto_optimal] or rows), None)
 
 
 def _over_budget_warnings(path: Path, tables: Sequence[TrialTable]) -> list[Fault]:

@@ -332,7 +332,9 @@ def _mark_recommended(
     else:
         best_index = cheapest_index(costs, budget)
     return [
-        replace(row, best=i in optimal_indices, recommended=i == best_index)
+        replace(
+            row, is_pareto_optimal=i in optimal_indices, recommended=i == best_index
+        )
         for i, row in enumerate(rows)
     ]
 
@@ -361,7 +363,10 @@ def _rank_by_figures(
         ]
         costs.append(_row_cost(row, measure, max(1.0, *excesses)))
     optimal_indices = pareto_optimal(costs)
-    return [replace(row, best=i in optimal_indices) for i, row in enumerate(rows)]
+    return [
+        replace(row, is_pareto_optimal=i in optimal_indices)
+        for i, row in enumerate(rows)
+    ]
 
 
 def _relative_figures(

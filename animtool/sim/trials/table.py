@@ -52,12 +52,12 @@ class TrialRow:
     figures: Mapping[Figure, float] = field(default_factory=dict)
     worst: str = ""  # location of the largest distance; may be empty
     chosen: bool = False  # whether the file requests this setting
-    best: bool = False  # whether Pareto-optimal: no cheaper setting is as accurate
+    is_pareto_optimal: bool = False  # whether no cheaper setting is as accurate
     # Whether the setting is recommended, or the cheapest within a budget.
     recommended: bool = False
     json_keys: ClassVar[str] = (
         "*setting status=ended reason stable_step seconds~ steps bytes "
-        "error energy_drift figures worst chosen best recommended"
+        "error energy_drift figures worst chosen best=is_pareto_optimal recommended"
     )
 
     @property

@@ -19,7 +19,7 @@ from animtool.sim.colliders.colliding import collide
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import Integrator, StepControl
 from animtool.sim.modes import allowed_step
-from animtool.sim.options import IntegrateOptions, check_options
+from animtool.sim.options import IntegrateOptions, checked_integrator
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, key_problems
 from animtool.systems.flocks.rules import (
@@ -227,7 +227,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     """
     refuse_all("SIM060", key_problems(spec))
     options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
-    integrator, colliders = check_options(options), context.colliders
+    integrator, colliders = checked_integrator(options), context.colliders
     if spec.domain is not None and not spec.domain.wrap:
         walls = Collider(
             Box(spec.domain.size),

@@ -19,7 +19,7 @@ from animtool.sim.checks import check_supported
 from animtool.sim.colliders import Poses
 from animtool.sim.equations import Equations
 from animtool.sim.integrating import integrate
-from animtool.sim.options import IntegrateOptions, check_options
+from animtool.sim.options import IntegrateOptions, checked_integrator
 from animtool.sim.system import Energy, SecondOrder
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.framework.colours import Colouring, Quantities, log_density
@@ -149,7 +149,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         self.external_forces = list(zip(getattr(spec, forces_key), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)
         self._options = IntegrateOptions(spec.method, spec.step * time_scale, tolerance)
-        self._integrator = check_options(self._options)
+        self._integrator = checked_integrator(self._options)
         self._colouring: Colouring | None = None
 
     def finish_setup(self) -> None:

@@ -12,7 +12,7 @@ from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.sheets import Sheet
-from animtool.sim.options import IntegrateOptions, check_options
+from animtool.sim.options import IntegrateOptions, checked_integrator
 from animtool.systems.particles.emitter import Emitter
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.forces.table import FORCES
@@ -80,7 +80,7 @@ class Particles:
         """Return faults of options and of their combination."""
         faults: list[Fault] = []
         try:
-            check_options(self.options)
+            checked_integrator(self.options)
         except AnimtoolError as error:
             faults += error.faults
         if self.options.step is None:

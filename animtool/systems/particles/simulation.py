@@ -27,7 +27,7 @@ from animtool.sim.integrating import advance_run, checkpoint_of, stats_of
 from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.implicit import PreviousStep
 from animtool.sim.modes import allowed_step, modes_at
-from animtool.sim.options import check_options
+from animtool.sim.options import checked_integrator
 from animtool.sim.run import IntegrationRun
 from animtool.sim.system import Energy
 from animtool.sim.trajectory import Status
@@ -101,7 +101,7 @@ class ParticleSimulation:
         self._kill_regions = [
             Colliders([kill.region.as_solid()]) for kill in setup.kills
         ]
-        self._integrator = check_options(setup.options)
+        self._integrator = checked_integrator(setup.options)
         check_supported(Equations(self._system(_NO_PARTICLES)), self._integrator)
         self._divergence_check = DivergenceCheck(setup, self.colliders)
         self._fastest_modes: FloatArray | None = None

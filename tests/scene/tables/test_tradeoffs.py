@@ -77,7 +77,7 @@ def test_what_is_recommended_keeps_its_budget_when_it_is_baked_again() -> None:
 def test_the_front_is_what_nothing_beats() -> None:
     for table in measure_tradeoffs(SUITE_FOLDER / "arm.clip.yaml").tables:
         costs = [
-            (getattr(row, table.cost), row.error.largest, row.best)
+            (getattr(row, table.cost), row.error.largest, row.is_pareto_optimal)
             for row in table.rows
             if row.error is not None
         ]

@@ -104,7 +104,9 @@ def test_errors_are_those_that_settings_make() -> None:
         assert row.energy_drift == pytest.approx(2 * off / (1 + 2 * off))
     assert [row.setting for row in table.rows if row.chosen] == [setting("second", 0.1)]
     # In as many steps, the second order has less error.
-    assert {row.setting.method for row in table.rows if row.best} == {"second"}
+    assert {row.setting.method for row in table.rows if row.is_pareto_optimal} == {
+        "second"
+    }
     assert not table.notices
 
 
@@ -278,7 +280,7 @@ def test_sensitive_motions_are_marked_by_their_figures() -> None:
     table = measure(replace(known.trial(), run=run))
     assert table.reference is not None
     assert table.reference.sensitive
-    best = {row.setting["step"] for row in table.rows if row.best}
+    best = {row.setting["step"] for row in table.rows if row.is_pareto_optimal}
     # A half at .4 is cheapest and worst; a tenth is reached first at .2.
     assert best == {0.4, 0.2}
     assert table.recommended is None
@@ -313,6 +315,6 @@ def test_turns_count_as_far_as_what_is_placed_reaches() -> None:
 def test_where_nothing_moves_the_present_setting_will_do() -> None:
     trial = Known(lambda _, __: 0.0).trial()
     table = measure(trial)
-    assert not any(row.best or row.recommended for row in table.rows)
+    assert not any(row.is_pareto_optimal or row.recommended for row in table.rows)
     table = measure(trial, budget=1e-3)
     assert table.recommended is table.chosen
