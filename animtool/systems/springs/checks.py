@@ -202,7 +202,7 @@ def tangle_notices(
     return [warning("SIM166", message, hint)]
 
 
-def check_options(options: SpringOptions) -> Solver:
+def checked_solver(options: SpringOptions) -> Solver:
     """Return the configured solver; raise SIM001 or SIM004 for invalid options."""
     faults = []
     names = [str(solver) for solver in Solver]

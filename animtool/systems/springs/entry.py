@@ -20,7 +20,7 @@ from animtool.systems.framework.body_carriers import BodyCarrier
 from animtool.systems.framework.spec import JoinedEntry, PinnedPoints
 from animtool.systems.springs import Family, Solver
 from animtool.systems.springs.bodies import BODY_BUILDERS, BodyEntry, SpringBody
-from animtool.systems.springs.checks import check_options, check_supports_self_contact
+from animtool.systems.springs.checks import check_supports_self_contact, checked_solver
 from animtool.systems.springs.drawing import FaceShape
 from animtool.systems.springs.pins import Join, Pin, air_of, particle_indices, read_pins
 from animtool.systems.springs.spec import FaceWindModel, SpringsModel
@@ -156,7 +156,7 @@ def read_entry(
     _check_wind(entry)
     refusals = RefusalCollector()
     with refusals.collect():
-        solver = check_options(spec.options)
+        solver = checked_solver(spec.options)
         if spec.contact is not None:
             check_supports_self_contact(solver)
     for fault in refusals.faults:

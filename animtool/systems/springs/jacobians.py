@@ -38,17 +38,19 @@ def mode_bounds(forces: SpringForces) -> FloatArray | None:
 
 
 def _largest_row_sum(
-    forces: SpringForces, spring_values: FloatArray, target_values: FloatArray
+    forces: SpringForces,
+    spring_coefficients: FloatArray,
+    target_coefficients: FloatArray,
 ) -> float:
     """Return the largest absolute row sum of a mass-weighted spring matrix."""
     weights = forces.inverse_masses
     first, second = forces.springs.ends.T
     geometric_means = np.sqrt(weights[first] * weights[second])
     rows = np.zeros(len(weights))
-    np.add.at(rows, first, spring_values * (weights[first] + geometric_means))
-    np.add.at(rows, second, spring_values * (weights[second] + geometric_means))
+    np.add.at(rows, first, spring_coefficients * (weights[first] + geometric_means))
+    np.add.at(rows, second, spring_coefficients * (weights[second] + geometric_means))
     targets = forces.target_springs.particles
-    np.add.at(rows, targets, target_values * weights[targets])
+    np.add.at(rows, targets, target_coefficients * weights[targets])
     return float(rows.max(initial=0.0))
 
 

@@ -279,7 +279,10 @@ class SpringSimulation(MotionCounts):
 
     @property
     def needs_final_state(self) -> bool:
-        """Whether a surface can tear: its topology then includes all later tears."""
+        """Whether frames need the final state, because a surface can tear.
+
+        Its topology then includes the tears of all later frames.
+        """
         return any(view.can_tear for view in self.views)
 
     def set_final_state(self, state: SpringState) -> None:

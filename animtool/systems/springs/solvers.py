@@ -370,8 +370,8 @@ def _advance_implicit(
     """
     state = grid.state
     (
-        motion, before, has_previous, torn, steps, corrections, failed_cells, inside,
-        pushes, impulses,
+        motion, before, has_previous, torn, steps, corrections, failed_cell_count,
+        inside, pushes, impulses,
     ) = _kernels.solve_springs(
         network, state.motion, state.before, state.torn, grid.origin, grid.index,
         grid.cell, cell_count, state.substeps, grid.solver is Solver.BDF2, tolerance,
@@ -382,4 +382,6 @@ def _advance_implicit(
         pulls=state.pulls if pulls is None else impulses[1],
     )  # fmt: skip
     end_grid = grid.after_cells(cell_count, after, steps, corrections, inside, pushes)
-    return CoupledSprings(replace(end_grid, is_unsolved=failed_cells > 0), impulses[0])
+    return CoupledSprings(
+        replace(end_grid, is_unsolved=failed_cell_count > 0), impulses[0]
+    )

@@ -15,7 +15,7 @@ from animtool.sim.checks import check_times
 from animtool.sim.trajectory import Checkpoint, Status
 from animtool.systems.framework.run import ReachedState, SimulationRun
 from animtool.systems.framework.simulation import Progress, SimContext, StoppedError
-from animtool.systems.springs.checks import check_options
+from animtool.systems.springs.checks import checked_solver
 from animtool.systems.springs.choosing import (
     SolverChoice,
     choose_solver,
@@ -71,7 +71,7 @@ def simulate_springs(
     ((3, 8, 3), <Status.OK: 'ok'>)
     """
     options = options or SpringOptions()
-    solver = check_options(options)
+    solver = checked_solver(options)
     sample_times = check_times(times, checkpoint)
     grid = checkpoint.memory if checkpoint is not None else None
     if isinstance(grid, TimeGrid):
@@ -196,7 +196,9 @@ def plan_springs(
         notices += motion.notices
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
-    choice = choose_solver(system, options, check_options(options), begin, system.state)
+    choice = choose_solver(
+        system, options, checked_solver(options), begin, system.state
+    )
     choice = replace(choice, reason=reason or choice.reason)
     plan = SpringPlan(system, options, choice)
     if starts_at_rest and choice.solver is Solver.XPBD:
