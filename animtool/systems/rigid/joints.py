@@ -59,7 +59,7 @@ class Joints:
     # Other pairs of bodies that do not collide (P, 2).
     other_pairs: IntArray = field(default_factory=lambda: NO_PAIRS)
     # Returns `parameters` at a time [s]; None if drives do not change.
-    parameters_at: Callable[[float], FloatArray] | None = None
+    drive_parameters_at: Callable[[float], FloatArray] | None = None
 
     def __len__(self) -> int:
         """Return the number of joints."""

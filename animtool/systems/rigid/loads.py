@@ -159,7 +159,9 @@ class StepForceSolver:
             message = f"the force on {label} changes too fast to be resolved"
             self._stop(t, message, "use a weaker or smoother force")
 
-    def required_substeps(self, t: float, dt: float, body_states: FloatArray) -> int:
+    def required_substep_count(
+        self, t: float, dt: float, body_states: FloatArray
+    ) -> int:
         """Return the substep count that resolves oscillating and spinning bodies."""
         oscillation_rates, spin_rates = self._rates(t, dt, body_states)
         max_rate = float(oscillation_rates.max(initial=0.0))
@@ -178,7 +180,7 @@ class StepForceSolver:
         rotation_substeps = min(math.ceil(rotation_steps), MAX_SUBSTEPS)
         return max(1, math.ceil(oscillation_steps), rotation_substeps)
 
-    def constrained_substeps(
+    def constrained_substep_count(
         self,
         t: float,
         dt: float,

@@ -99,7 +99,7 @@ class BodyPhases:
         return is_free
 
     def phase(self, index: int, is_broken: BoolArray) -> BodyPhase:
-        """Return a phase without the broken joints; mask ``(K,)``."""
+        """Return the bodies of a phase, without the joints of a mask ``(K,)``."""
         key = index, is_broken.tobytes()
         if key not in self._phases:
             if len(self._phases) > 1:
@@ -108,7 +108,7 @@ class BodyPhases:
         return self._phases[key]
 
     def _build_phase(self, index: int, is_broken: BoolArray) -> BodyPhase:
-        """Build a phase without the broken joints."""
+        """Build a phase, without the broken joints of a mask ``(K,)``."""
         release_time = self._phase_starts[index - 1] if index else -np.inf
         is_free = np.asarray(~(self._release_times > release_time), np.bool_)
         bodies = self._bodies

@@ -238,12 +238,16 @@ def build_ragdoll_joints(
         )
     joints = Joints(members, other_pairs=_overlapping_pairs(ragdoll))
 
-    def parameters_at(t: float) -> FloatArray:
+    def drive_parameters_at(t: float) -> FloatArray:
         parameters: FloatArray = joints.parameters.copy()
         parameters[:, 18:23] = targets(t)[bodies_with_parent]
         return parameters
 
-    return replace(joints, parameters_at=parameters_at) if options.stiffness else joints
+    return (
+        replace(joints, drive_parameters_at=drive_parameters_at)
+        if options.stiffness
+        else joints
+    )
 
 
 def _passive_springs(ragdoll: Ragdoll, options: RagdollOptions) -> FloatArray:

@@ -143,19 +143,19 @@ class RigidSimulation(RigidStates):
 
     def step(self, state: RigidState, t: float, dt: float) -> RigidState:
         """Return the state after a step [s], in the substeps that forces require."""
-        substep_count = self._force_solver.required_substeps(t, dt, state.motion)
+        substep_count = self._force_solver.required_substep_count(t, dt, state.motion)
         if self._forces.is_variable:
             is_constrained = self._is_constrained(state, t, dt)
-            substep_count = self._force_solver.constrained_substeps(
+            substep_count = self._force_solver.constrained_substep_count(
                 t, dt, substep_count, state.motion, is_constrained
             )
         while True:
-            next_state, required_substeps = self._take_substeps(
+            next_state, required_substep_count = self._take_substeps(
                 state, t, dt, substep_count
             )
-            if required_substeps == substep_count:
+            if required_substep_count == substep_count:
                 return next_state
-            substep_count = required_substeps
+            substep_count = required_substep_count
 
     def _take_substeps(
         self, state: RigidState, t: float, dt: float, substep_count: int
@@ -177,11 +177,11 @@ class RigidSimulation(RigidStates):
             )
             if is_hit.any():
                 assert flight is not None
-                required_substeps = substeps_for_mass_factors(
+                required_substep_count = substeps_for_mass_factors(
                     substep_count, flight.mass_factors[is_hit]
                 )
-                if required_substeps > substep_count:
-                    return state, required_substeps
+                if required_substep_count > substep_count:
+                    return state, required_substep_count
                 is_constrained = is_constrained | is_hit
                 forces = solver.step_forces(
                     time, substep, motion, is_constrained, flight
@@ -292,13 +292,13 @@ class RigidSimulation(RigidStates):
         self, phase: BodyPhase, step_forces: StepForces, t: float
     ) -> Any:
         """Return the kernel object with current drives and mass factors."""
-        parameters_at = self.joints.parameters_at
+        drive_parameters_at = self.joints.drive_parameters_at
         mass_factors = step_forces.mass_factors
-        if parameters_at is None and mass_factors is None:
+        if drive_parameters_at is None and mass_factors is None:
             return phase.kernel
         parameters = phase.joints.parameters
-        if parameters_at is not None:
-            parameters = parameters_at(t)[phase.intact_joints]
+        if drive_parameters_at is not None:
+            parameters = drive_parameters_at(t)[phase.intact_joints]
         free_factors = 1.0 if mass_factors is None else mass_factors[phase.is_free]
         return phase.with_parameters(parameters, free_factors)
 

@@ -84,12 +84,12 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     coordinates = project_to_coordinates(rig, LocalTransforms(translations, rotations))
     drive_times, slices = times - times[first_index], coordinate_slices(rig)
     targets = DriveTargets(ragdoll, drive_times, coordinates, slices)
-    speeds = ragdoll_velocities(ragdoll, world, times, first_index)
+    velocities = ragdoll_velocities(ragdoll, world, times, first_index)
     start_time = float(times[first_index])
     colliders = Colliders(
         [_shift_times(collider, start_time) for collider in options.colliders]
     )
-    run = _start_run(ragdoll, options, targets, speeds, colliders)
+    run = _start_run(ragdoll, options, targets, velocities, colliders)
     origins, frame_rotations = [], []
     for k in range(first_index, clock.count):
         bodies = run.at(float(times[k] - times[first_index]))

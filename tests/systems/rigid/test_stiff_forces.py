@@ -244,11 +244,13 @@ def test_a_step_has_parts_in_which_bodies_swing_by_half_a_radian(
     own: Any = SimpleNamespace(
         _rates=lambda *_: rates, _body_label=lambda k: f"body {k}"
     )
-    assert StepForceSolver.required_substeps(own, 1.0, dt, np.zeros((2, 14))) == parts
+    assert (
+        StepForceSolver.required_substep_count(own, 1.0, dt, np.zeros((2, 14))) == parts
+    )
     stopped: list[tuple[Any, ...]] = []
     own._stop = lambda *given: stopped.append(given)
     rates = np.array([0.0, 1280.0]), np.zeros(2)
-    StepForceSolver.required_substeps(own, 1.0, dt, np.zeros((2, 14)))
+    StepForceSolver.required_substep_count(own, 1.0, dt, np.zeros((2, 14)))
     ((t, message, hint),) = stopped
     assert t == 1.0
     assert "body 1" in message
