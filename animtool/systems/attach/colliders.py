@@ -120,7 +120,7 @@ class CharacterColliders:
             # Joints with a skin collide with that instead of their capsules.
             has_skin = np.any([skin.has_joint_weight for skin in skins], axis=0)
             capsules = capsules.select(~has_skin[capsules.joints])
-        self._capsules, self._radius, self._world = capsules, radius, world
+        self._capsules, self._radius, self._world_colliders = capsules, radius, world
         capsule_collider = Collider(
             Capsule(1.0, 0.0), friction=friction, depenetration=DEPENETRATION_SPEED
         )
@@ -169,7 +169,7 @@ class CharacterColliders:
 
         Depths are in the deepest rigid collider; below 0 is outside.
         """
-        depths = collider_depths(self._world, points, surroundings.time)
+        depths = collider_depths(self._world_colliders, points, surroundings.time)
         radii, allowed_depths = self._sizes[:, 6], self._allowed_depths + self._radius
         for c, ends in enumerate(self._capsules.world_ends(surroundings.world)[-1]):
             distances = capsule_distances(points, ends, radii[c])
@@ -179,7 +179,7 @@ class CharacterColliders:
 
     def surroundings(self, world: WorldTransforms, t: float) -> CollisionSurroundings:
         """Return the surfaces at the end of the last frame, at a time [s]."""
-        solids = [*self._skin_solids, *closed_surfaces(self._world, t)]
+        solids = [*self._skin_solids, *closed_surfaces(self._world_colliders, t)]
         layers = [
             ClosedSurface(motion.points(t), motion.triangles(t))
             for motion in self._cloth_motions
@@ -187,18 +187,18 @@ class CharacterColliders:
         return CollisionSurroundings(world, t, solids, layers)
 
     def kernel_arguments(
-        self, frame_poses: FramePoses, grid: TimeGrid, count: int
+        self, frame_poses: FramePoses, grid: TimeGrid, step_count: int
     ) -> CellColliders:
         """Return kernel arguments for the cells of a frame; None without colliders."""
-        world = frame_poses.sample(count).world
+        world = frame_poses.sample(step_count).world
         rows, ends = self._capsules.joint_poses_and_ends(world)
         sizes = self._sizes.copy()
         sizes[:, :6] = ends.reshape(-1, 6)
         poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        skins = self._kernel_skins(frame_poses, count)
+        skins = self._kernel_skins(frame_poses, step_count)
         posed_colliders = PosedColliders(sizes, poses, self._depths, skins)
         return cell_colliders(
-            self._colliders, self._radius, grid, count, posed_colliders
+            self._colliders, self._radius, grid, step_count, posed_colliders
         )
 
     def _kernel_skins(

@@ -117,7 +117,7 @@ class AttachSimulation:
         There are ``prepended_frames`` before the take, with the pose of its first
         frame; a cycle ignores them. The take starts at world time 0.
         """
-        self._world = Colliders(()) if world is None else world
+        self._world_colliders = Colliders(()) if world is None else world
         self.rig, self.bodies, self.options = stream.rig, bodies, options
         # One for each body, from the first frame on.
         self.actors: list[AttachmentActor] = []
@@ -132,7 +132,7 @@ class AttachSimulation:
         # Largest rotations of last joints by name of the chain [rad].
         self.last_joint_angles: dict[str, float] = {}
         self._rate, self._step = float(stream.fps / stream.step), stream.step
-        self._start, self._prepended_frames = stream.first_frame, prepended_frames
+        self._start, self._prepended_frame_count = stream.first_frame, prepended_frames
         # Index of the next frame; 0 is the first of the take.
         self._frame = 0 if options.loop else -prepended_frames
         self._progress = progress
@@ -166,7 +166,7 @@ class AttachSimulation:
         """Yield blocks of the motion with simulated attachments."""
         if self.options.loop:
             motion = Motion.concatenate(list(motions))
-            first = self._prepended_frames
+            first = self._prepended_frame_count
             cycle = self._close_cycle(motion.select(slice(first, None)))
             yield cycle.select(np.maximum(np.arange(-first, cycle.frames), 0))
             return
@@ -210,7 +210,7 @@ class AttachSimulation:
         if extrapolates:
             frames = range(preroll_frames, -1, -1)
             poses = [extrapolate_roots(self.rig, pose, next_pose, n) for n in frames]
-        start_pose, world = poses[0], self._world
+        start_pose, world = poses[0], self._world_colliders
         self.actors = []
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
@@ -278,9 +278,9 @@ class AttachSimulation:
         if not self.options.loop:
             # The next frame samples surfaces a little before its start.
             earliest_time = self._frame / self._rate - LOOKBACK_TIME
-            for bodies in self._world.bodies:
+            for bodies in self._world_colliders.bodies:
                 bodies.forget(earliest_time)
-            for sheet in self._world.sheets:
+            for sheet in self._world_colliders.sheets:
                 sheet.motion.forget(earliest_time)
 
     def _save_and_resume(self, time_code: float) -> None:
@@ -347,7 +347,9 @@ class AttachSimulation:
                 self.visited_codes, row.simulated_points, row.surroundings, strict=True
             ):
                 actor.measure(time_code, points, surroundings)
-        return self._blend(motion, self._codes(self._prepended_frames, count), rows)
+        return self._blend(
+            motion, self._codes(self._prepended_frame_count, count), rows
+        )
 
     def _simulate_cycle(
         self, poses: list[LocalPose], last_frames: list[_AttachmentFrames]
@@ -358,7 +360,7 @@ class AttachSimulation:
         at the start of this one.
         """
         rows = [_AttachmentFrames([], []) for _ in self.bodies]
-        codes = self._codes(self._prepended_frames, len(poses)).tolist()
+        codes = self._codes(self._prepended_frame_count, len(poses)).tolist()
         self.visited_codes = codes[:-1]
         self._frame = 0
         for actor in self.actors:

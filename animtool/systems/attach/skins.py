@@ -106,8 +106,12 @@ def _build_skin(
     is_used = np.bincount(face_of_corner, corners, len(surface.counts)) == 0
     faces = surface.counts[is_used], surface.indices[is_used[face_of_corner]]
     triangles, points, borders = triangulate_capped(*faces, len(vertices))
-    middles = [vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)]
-    corners = np.concatenate([vertices, np.array(middles).reshape(-1, 3)])[triangles]
+    cap_centroids = [
+        vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)
+    ]
+    corners = np.concatenate([vertices, np.array(cap_centroids).reshape(-1, 3)])[
+        triangles
+    ]
     a, b, c = corners.swapaxes(0, 1)
     if (a * np.cross(b, c)).sum() < 0:
         triangles = np.ascontiguousarray(triangles[:, ::-1])

@@ -61,7 +61,7 @@ class Trunk:
 
     @staticmethod
     def from_skeleton(skeleton: RoledSkeleton) -> Trunk:
-        """Return the trunk of a skeleton; without a spine nothing rotates."""
+        """Return the trunk of a skeleton; one without a spine is never rotated."""
         joints_by_role = {
             role: tuple(
                 j for j, joint_role in enumerate(skeleton.roles) if joint_role == role

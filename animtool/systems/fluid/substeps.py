@@ -32,9 +32,9 @@ IGNORED_QUANTILE = 0.005
 # Motion of sheets between collisions, in spacings, and largest number of collisions.
 SHEET_TRAVEL, MAX_SHEET_COLLISIONS = 0.5, 32
 MAX_SUBSTEPS = 4096
-# Depth whose hydrostatic pressure is always assumed, in spacings.
+# Smallest depth for which the speed of sound is chosen, in spacings.
 MIN_LAYERS = 2.0
-# Radius of the smallest drop whose pressure is always assumed, in spacings.
+# Radius of the smallest drop whose Laplace pressure the fluid can resist, in spacings.
 MIN_DROP_RADIUS = 5.0
 
 

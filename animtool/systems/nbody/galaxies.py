@@ -184,7 +184,7 @@ def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses
     scale_height = disc.thickness * disc.radius
     heights = scale_height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
     tables = disc_velocities(disc, profile)
-    radial, azimuthal, vertical, mean = (
+    radial, azimuthal, vertical_dispersion, mean = (
         np.interp(r, profile.r, table) for table in tables
     )
     normal = matter.normal_samples(u[:, 3:6])
@@ -195,7 +195,7 @@ def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses
     points = np.stack([r * sin, heights, r * cos], axis=1)
     x = radial_velocities * sin + azimuthal_velocities * cos
     z = radial_velocities * cos - azimuthal_velocities * sin
-    velocities = np.stack([x, vertical * normal[:, 2], z], axis=1)
+    velocities = np.stack([x, vertical_dispersion * normal[:, 2], z], axis=1)
     return PointMasses(points, velocities, np.full(disc.count, disc.mass / disc.count))
 
 
@@ -212,14 +212,17 @@ def disc_velocities(
     epicyclic_frequency = np.sqrt(np.maximum(squares, 1e-300))
     surface_densities = surface_density(disc, r)
     toomre_factor = disc.stability * TOOMRE_CONSTANT * profile.constant
-    radial = toomre_factor * surface_densities / epicyclic_frequency
-    radial = np.minimum(radial, MAX_DISPERSION_RATIO * circular)
+    radial_dispersion = toomre_factor * surface_densities / epicyclic_frequency
+    radial_dispersion = np.minimum(radial_dispersion, MAX_DISPERSION_RATIO * circular)
     ratio = epicyclic_frequency / np.maximum(2 * angular_velocity, 1e-300)
-    squared_drift = radial**2 * (1 - ratio**2 - 2 * r / disc.radius)
+    squared_drift = radial_dispersion**2 * (1 - ratio**2 - 2 * r / disc.radius)
     mean = np.sqrt(np.maximum(circular**2 + squared_drift, 0.0))
     height = disc.thickness * disc.radius
-    vertical = np.sqrt(np.pi * profile.constant * surface_densities * height)
-    return radial, radial * ratio, vertical if disc.stability else 0 * vertical, mean
+    vertical_dispersion = np.sqrt(np.pi * profile.constant * surface_densities * height)
+    vertical_dispersion = (
+        vertical_dispersion if disc.stability else 0 * vertical_dispersion
+    )
+    return radial_dispersion, radial_dispersion * ratio, vertical_dispersion, mean
 
 
 def orbit_motions(
