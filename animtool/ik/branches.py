@@ -210,20 +210,20 @@ def branch_tracks(
 
 
 def search_long_interval(
-    interval: Interval, spacing: int, seed: int
+    interval: Interval, frame_spacing: int, seed: int
 ) -> tuple[FloatArray, FloatArray]:
     """Return candidate paths ``(K, L, C)`` through a long interval, and costs.
 
-    They are the current path and solutions from seeded starts every ``spacing`` frames,
-    each tracked in both directions until it ends or a later layer replaces it.
+    They are the current path and solutions from seeded starts every ``frame_spacing``
+    frames, each tracked in both directions until it ends or a later layer replaces it.
     """
     frame_count = len(interval.poses)
     path_count = 1 + MAX_LAYERS * SOLUTIONS_PER_SAMPLE
     paths = np.zeros((path_count, *interval.poses.shape))
     costs = np.full((path_count, frame_count), 2 * MISS_COST)
     paths[0], costs[0] = interval.poses, interval.costs
-    half_span = MAX_LAYERS * spacing // 2
-    for i, row in enumerate(range(0, frame_count, spacing)):
+    half_span = MAX_LAYERS * frame_spacing // 2
+    for i, row in enumerate(range(0, frame_count, frame_spacing)):
         frames = np.full(SOLUTIONS_PER_SAMPLE, interval.frames[row])
         pose = interval.poses[row]
         starts = list(_random_starts(interval, pose, SOLUTIONS_PER_SAMPLE, seed + i))

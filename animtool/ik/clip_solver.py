@@ -181,9 +181,9 @@ def _search_full_clip(clip: ClipPath, result: IkResult, attempt: int) -> IkResul
     poses = clip.chain_poses(result)
     all_frames = slice(0, len(clip))
     interval = clip.interval(poses, all_frames, 0)
-    spacing = max(round(SEARCH_INTERVAL * clip.options.fps), 1)
+    frame_spacing = max(round(SEARCH_INTERVAL * clip.options.fps), 1)
     seed = clip.options.solving.seed + attempt * len(clip)
-    paths, costs = search_long_interval(interval, spacing, seed)
+    paths, costs = search_long_interval(interval, frame_spacing, seed)
     path = _best_even_path(clip, interval, paths, costs, is_end_fixed=False)
     if clip.max_jump_ratio(path, 0) < MIN_REDUCTION * clip.max_jump_ratio(poses, 0):
         return clip.with_window(result, all_frames, path)

@@ -249,7 +249,7 @@ class DriverPrograms:
         source = self._sources[joint_index]
         column = source.column
         if joint.type is JointType.BALL:
-            return [("ball", column + 1, _ball_weights(joint, part))]
+            return [("ball", column + 1, _swing_twist_weights(joint, part))]
         program: list[_Instruction] = [
             ("coordinate", column + 1, (float(self._scales[column]),))
         ]
@@ -274,13 +274,15 @@ def _add(term: float) -> list[_Instruction]:
     return [] if term == 0.0 else [("number", 0, (term,)), ("+", 0, ())]
 
 
-def _ball_weights(joint: Joint, part: str) -> tuple[float, ...]:
-    """Return weights of twist, two swings and swing angle, and the twist's middle."""
+def _swing_twist_weights(joint: Joint, part: str) -> tuple[float, ...]:
+    """Return weights of twist, two swings and swing angle, and the centre of twist."""
     limits = joint.limits
     assert isinstance(limits, BallLimit)
     low, high = limits.twist or (-np.inf, np.inf)
-    middle = (low + high) / 2 if high - low < 2 * np.pi - REVOLUTION_TOLERANCE else 0.0
+    twist_centre = (
+        (low + high) / 2 if high - low < 2 * np.pi - REVOLUTION_TOLERANCE else 0.0
+    )
     if part in (TWIST, SWING):
-        return (float(part == TWIST), 0.0, 0.0, float(part == SWING), middle)
+        return (float(part == TWIST), 0.0, 0.0, float(part == SWING), twist_centre)
     first_axis, second_axis = limits.axes[1:, SWING_PARTS.index(part)].tolist()
-    return (0.0, first_axis, second_axis, 0.0, middle)
+    return (0.0, first_axis, second_axis, 0.0, twist_centre)

@@ -105,7 +105,7 @@ def with_nearest_poses(
 
 
 def miss_costs(result: IkResult, targets: Targets) -> FloatArray:
-    """Return the miss costs of a result ``(B,)``, see `miss_cost`."""
+    """Return the cost of each solution's weighted misses ``(B,)``; see `miss_cost`."""
     misses = weight_misses(result.problem, result.misses, targets)
     return miss_cost(misses, result.converged)
 

@@ -96,7 +96,10 @@ def _solve_for_goals(
     bare_take: Take,
     solve_tracks: SolveTracks,
 ) -> Take:
-    """Return the take solved for the given goals, which fade from a bare take."""
+    """Return the take solved for some of its goals.
+
+    Goals with active spans fade in from ``bare_take``, the others from ``take``.
+    """
     if not goals:
         return take
     fade_sources = tuple(bare_take if track.during else take for track in goals)

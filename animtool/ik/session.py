@@ -191,7 +191,10 @@ class Session:
     def _fill_buffer(
         self, values_by_goal: Mapping[str, Any]
     ) -> tuple[_PackedProblem, FloatArray]:
-        """Return the problem of a call, and its filled target buffer."""
+        """Fill the target buffer of a call's goals; return it after their problem.
+
+        Problems are kept, and used again by calls with goals of the same kinds.
+        """
         requested_kinds: list[tuple[str, tuple[bool, ...]]] = []
         target_values: list[Any] = []
         for name, value in values_by_goal.items():

@@ -271,7 +271,7 @@ def take_option_faults(options: TakeOptions) -> dict[str, list[Fault]]:
 
 @dataclass(frozen=True, slots=True)
 class TakeSolver:
-    """Solves the frame spans of a take."""
+    """Solves the IK of a take, one frame span at a time."""
 
     rig: Rig
     tracks: TargetTracks
@@ -284,7 +284,7 @@ class TakeSolver:
 
     @property
     def goals(self) -> list[Goal]:
-        """The goals of the tracks."""
+        """The goal of each track, in the order of the tracks."""
         return [track.goal for track in self.tracks.goals]
 
     def solve_span(self, span: SolveSpan) -> SpanSolution:
