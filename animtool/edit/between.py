@@ -168,7 +168,11 @@ def _equal_rows(a: Channel | None, b: Channel | None) -> BoolArray | None:
 
 
 def _is_equal(a: FloatArray, b: FloatArray) -> BoolArray:
-    """Return a mask ``(F, J)`` of rows whose components ``(F, J, K)`` are equal."""
+    """Return a mask ``(F, J)``, true where all K components of two arrays are equal.
+
+    Both arrays are ``(F, J, K)``. With K = 4 they are quaternions, whose sign is
+    ignored.
+    """
     if a.shape[-1] == 4:
         b = so3.align_to(b, a)
     tolerance = CURVE_TOLERANCE * np.maximum(1.0, np.abs(a).max(axis=-1))

@@ -96,7 +96,7 @@ def find_cycle(
     """
     check_loaded(take, Take, "take")
     clock = take.clock
-    first_index, last_index = end_indices(clock, first, last)
+    first_index, last_index = range_end_indices(clock, first, last)
     stride = max(1, int(clock.rate // SEARCH_RATE))
     frames = np.arange(first_index, last_index + 1, stride)
     rate = float(clock.rate) / stride
@@ -154,7 +154,7 @@ def measure_cycle(
     take: Take, first: float | None = None, last: float | None = None
 ) -> Cycle:
     """Measure the pose difference between the first and last frame of a cycle."""
-    first_index, last_index = end_indices(take.clock, first, last)
+    first_index, last_index = range_end_indices(take.clock, first, last)
     if first_index >= last_index:
         raise _no_cycle_error(f"from frame {first} to {last}")
     pose_view = _PoseView.from_take(take)
@@ -173,7 +173,7 @@ def measure_cycle(
     return _build_cycle(take.clock, first_index, last_index, distance, largest_extent)
 
 
-def end_indices(
+def range_end_indices(
     clock: Clock, first: float | None, last: float | None
 ) -> tuple[int, int]:
     """Return the indices of the first and last frame of a range of time codes."""

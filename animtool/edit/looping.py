@@ -23,7 +23,7 @@ from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.edit.combine import align_signs
-from animtool.edit.cycle import Cycle, end_indices, find_cycle, measure_cycle
+from animtool.edit.cycle import Cycle, find_cycle, measure_cycle, range_end_indices
 from animtool.edit.frames import check_count, check_range
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import CycleTravel, cycle_travel, nearby_positions
@@ -268,7 +268,7 @@ def loop(
     clock = take.clock
     if clock.count == 1:
         return take
-    first_index, last_index = end_indices(clock, first, last)
+    first_index, last_index = range_end_indices(clock, first, last)
     if last_index <= first_index:
         refuse("SCN018", f"{last_index - first_index} frames are too few for a cycle")
     _check_minimum(repeats, 1, "repeats")

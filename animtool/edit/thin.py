@@ -63,18 +63,18 @@ def thin_samples(
     tolerance of weights is `WEIGHT_TOLERANCE` [1].
     """
     bounds = joint_bounds(rig, tolerance, joint_tolerances or {})
-    thinning_errors = _ThinningErrors(rig, codes, motion, bounds)
-    kept_samples = _add_samples(thinning_errors, np.unique([0, len(codes) - 1]))
+    error_meter = _ThinningErrorMeter(rig, codes, motion, bounds)
+    kept_samples = _add_samples(error_meter, np.unique([0, len(codes) - 1]))
     for pass_index in range(MAX_DROP_PASSES):
-        kept_samples = _drop_alternate(thinning_errors, kept_samples, pass_index % 2)
-    return thinning_errors.build_result(kept_samples)
+        kept_samples = _drop_alternate(error_meter, kept_samples, pass_index % 2)
+    return error_meter.build_result(kept_samples)
 
 
-def _add_samples(thinning_errors: _ThinningErrors, kept_samples: IntArray) -> IntArray:
+def _add_samples(error_meter: _ThinningErrorMeter, kept_samples: IntArray) -> IntArray:
     """Split intervals at their worst sample until all are within the tolerance."""
-    frames = np.setdiff1d(np.arange(len(thinning_errors.codes)), kept_samples)
+    frames = np.setdiff1d(np.arange(len(error_meter.codes)), kept_samples)
     while len(frames):
-        ratios = thinning_errors.error_ratios(kept_samples, frames)
+        ratios = error_meter.error_ratios(kept_samples, frames)
         interval_indices = np.searchsorted(kept_samples, frames) - 1
         first_positions = np.flatnonzero(np.diff(interval_indices, prepend=-1))
         worst_ratios = np.maximum.reduceat(ratios, first_positions)
@@ -99,7 +99,7 @@ def _add_samples(thinning_errors: _ThinningErrors, kept_samples: IntArray) -> In
 
 
 def _drop_alternate(
-    thinning_errors: _ThinningErrors, kept_samples: IntArray, first_dropped: int
+    error_meter: _ThinningErrorMeter, kept_samples: IntArray, first_dropped: int
 ) -> IntArray:
     """Drop every second sample if its removal stays within the tolerance."""
     dropped_positions = np.arange(1 + first_dropped, len(kept_samples) - 1, 2)
@@ -109,7 +109,7 @@ def _drop_alternate(
     first = kept_samples[dropped_positions[0] - 1]
     end = kept_samples[dropped_positions[-1] + 1]
     frames = np.setdiff1d(np.arange(first, end), fewer_samples)
-    ratios = thinning_errors.error_ratios(fewer_samples, frames)
+    ratios = error_meter.error_ratios(fewer_samples, frames)
     # Every interval of the trial contains one frame: the sample that it drops.
     starts = kept_samples[dropped_positions - 1]
     interval_indices = np.searchsorted(starts, frames, side="right") - 1
@@ -118,7 +118,7 @@ def _drop_alternate(
     return np.delete(kept_samples, dropped_positions[worst_ratios <= 1])
 
 
-class _ThinningErrors:
+class _ThinningErrorMeter:
     """Measures the error of the motion interpolated from the kept samples."""
 
     def __init__(
@@ -132,7 +132,11 @@ class _ThinningErrors:
     def errors(
         self, kept_samples: IntArray, frames: IntArray
     ) -> tuple[FloatArray, FloatArray]:
-        """Return errors of the joints ``(N, J)`` and of the weights ``(N,)``."""
+        """Return the deviation from the original motion at N frames.
+
+        The first array is that of the joints ``(N, J)``, the second the largest of the
+        weights ``(N,)``.
+        """
         positions = positions_between(self.codes[kept_samples], self.codes[frames])
         restored_motion = self.motion.select(kept_samples).map(positions.interpolate)
         original_world = self.original_world
