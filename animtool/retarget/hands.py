@@ -27,9 +27,9 @@ JOINED_SPEED = 0.25
 SMOOTHING_SECONDS = 0.03
 # A hand touches the ground below this fraction of an arm length; below half of that it
 # keeps the source's height.
-GROUND_HEIGHT = 0.3
+MAX_GROUND_CONTACT_RATIO = 0.3
 # Hands slow down below this fraction of an arm length above the ground.
-SLOWING_HEIGHT = 0.25
+MAX_SLOWING_RATIO = 0.25
 # Hand contacts fade in and out within about this time [s].
 FADE_SECONDS = 0.15
 # Arms of joined hands stay slightly bent: they reach this fraction of their length; and
@@ -171,18 +171,20 @@ def hand_contacts(
             prop_tracks |= {prop.track}
         if ankle_heights is not None:
             height = source_wrist[:, up] - ankle_heights.source
-            kept_height = np.minimum(height, GROUND_HEIGHT / 2 * length)
+            kept_height = np.minimum(height, MAX_GROUND_CONTACT_RATIO / 2 * length)
             ground_level = ankle_heights.target + transfer.scale * kept_height
             is_slow = find_contacts(source_wrist, None, fps, length, up).ankle
             is_free = is_slow & ~is_gripping & ~is_active[k]
-            for start, end in runs(is_free & (height < GROUND_HEIGHT * length)):
+            for start, end in runs(
+                is_free & (height < MAX_GROUND_CONTACT_RATIO * length)
+            ):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(ground_level[start:end].mean())
                 is_active[k][start:end] = True
         is_contact = is_active[k].copy()
         if ground_level is not None:
             height_above_ground = wrists[k][:, up] - ground_level
-            soft_height = SLOWING_HEIGHT * length * transfer.scale
+            soft_height = MAX_SLOWING_RATIO * length * transfer.scale
             is_low = ~is_contact & (height_above_ground < soft_height)
             soft_goal = ground_level + _soften_heights(height_above_ground, soft_height)
             goals[k][is_low, up] = soft_goal[is_low]

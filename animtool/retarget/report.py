@@ -105,8 +105,8 @@ class FitMeter:
         self._max_accelerations = np.zeros(2)
         self._last_frames: list[FloatArray] = []
         pairs = joint_map.pairs
-        target_lengths = transfer.target.path_lengths[[pair.target for pair in pairs]]
-        source_lengths = transfer.source.path_lengths[[pair.source for pair in pairs]]
+        target_lengths = transfer.target.chain_lengths[[pair.target for pair in pairs]]
+        source_lengths = transfer.source.chain_lengths[[pair.source for pair in pairs]]
         source_lengths = np.maximum(source_lengths, transfer.source.size * 0.01)
         # A source without offsets has no lengths.
         path_ratios, is_known = np.zeros_like(target_lengths), source_lengths > 0

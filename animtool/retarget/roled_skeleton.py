@@ -115,7 +115,7 @@ class RoledSkeleton:
             return None
         heights = self.positions @ self.rig.up.vector
         hips, feet, hands = (heights[joints] for joints in limb_joints)
-        hip_drop, lengths = float(hips.min() - feet.max()), self.path_lengths
+        hip_drop, lengths = float(hips.min() - feet.max()), self.chain_lengths
         leg_lengths = lengths[limb_joints[1]] - lengths[limb_joints[0]]
         if hip_drop < MIN_LEG_DROP * float(leg_lengths.min()):
             return None
@@ -131,8 +131,8 @@ class RoledSkeleton:
         return float(np.ptp(self.positions, axis=0).max())
 
     @property
-    def path_lengths(self) -> FloatArray:
-        """Rest length of the path from the hips to each joint ``(J,)`` [m]."""
+    def chain_lengths(self) -> FloatArray:
+        """Rest length of the chain from the hips to each joint ``(J,)`` [m]."""
         lengths = np.zeros(len(self.rig.joints))
         hips = self.first_joint("hips")
         for j, parent in enumerate(self.rig.parents.tolist()):

@@ -296,7 +296,7 @@ def _heading_alignment(
     return so3.from_axis_angle(up, angle)
 
 
-# Roles whose path from the hips measures body size, independent of arms.
+# Roles whose chain from the hips measures body size, independent of arms.
 BODY_ROLES = {"neck", "head", "upper_arm", "thigh", "shin"}
 _FINGER_NAMES = {"thumb", "index", "middle", "ring", "pinky"}
 
@@ -306,7 +306,7 @@ def _leg_ratio(
 ) -> float:
     """Return the ratio of target leg length to source leg length.
 
-    Without legs, path lengths from the hips to the other body joints are compared;
+    Without legs, chain lengths from the hips to the other body joints are compared;
     without a body, those to all target joints that follow a source joint.
     """
     leg_lengths = [
@@ -315,7 +315,7 @@ def _leg_ratio(
         if target.leg(side) and source.leg(side)
     ]
     if not leg_lengths:
-        path_lengths = target.path_lengths, source.path_lengths
+        chain_lengths = target.chain_lengths, source.chain_lengths
         joint_pairs = [
             (target.first_joint(role), source.first_joint(role))
             for role in dict.fromkeys(source.roles)
@@ -324,7 +324,7 @@ def _leg_ratio(
             (j, source_joints[j]) for j in np.flatnonzero(source_joints >= 0).tolist()
         ]
         leg_lengths = [
-            (float(path_lengths[0][j]), float(path_lengths[1][k]))
+            (float(chain_lengths[0][j]), float(chain_lengths[1][k]))
             for j, k in joint_pairs
         ]
     target_length, source_length = (

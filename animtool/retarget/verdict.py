@@ -129,8 +129,8 @@ def assess_take(
     Ignored errors were accepted on request.
     """
     if ignored_errors:
-        look_reasons = tuple(VerdictReason(fault.message) for fault in ignored_errors)
-        return Verdict(TakeStatus.UNUSABLE, look_reasons)
+        error_reasons = tuple(VerdictReason(fault.message) for fault in ignored_errors)
+        return Verdict(TakeStatus.UNUSABLE, error_reasons)
     scores_by_name = {score.name: score for score in scores.scores}
     limbs = scores_by_name["limbs"]
     if limbs.value > MAX_LIMB_DEVIATION:

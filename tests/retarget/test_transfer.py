@@ -109,7 +109,7 @@ def test_lengths_and_directions_of_a_person() -> None:
         own.last_joint("jaw"),
     ) == (1, -1, -1)
     assert own.size == pytest.approx(1.5)
-    ways = own.path_lengths
+    ways = own.chain_lengths
     assert ways[0] == 0
     assert ways[[5, 11]] == pytest.approx(
         [np.hypot(0.1, 0.05) + 0.85, 0.2 + np.hypot(0.2, 0.3) + 0.55]
