@@ -46,12 +46,12 @@ class JoinedKeys:
     post: Extrapolation  # extrapolation after the last key
 
 
-def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
+def join_keys(track: PropertyTrack, default_values: FloatArray) -> JoinedKeys | None:
     """Return keys of all components of a property; None if they would be inexact.
 
     A key of one component splits the segments of the others without changing values.
 
-    ``base`` is the value without animation ``(D,)``.
+    ``default_values`` are the values without animation ``(D,)``.
     """
     if len(track.layers) != 1 or not track.layers[0].is_first:
         return None
@@ -75,7 +75,7 @@ def join_keys(track: PropertyTrack, base: FloatArray) -> JoinedKeys | None:
     for column, segmented_curve in zip(columns, segmented_curves, strict=True):
         outs[:-1, column] = segmented_curve.out_slopes * outs[:-1, 0]
         ins[1:, column] = segmented_curve.in_slopes * ins[1:, 0]
-    values, interps = track.evaluate(base, ticks), [*interps, Interp.LINEAR]
+    values, interps = track.evaluate(default_values, ticks), [*interps, Interp.LINEAR]
     return JoinedKeys(ticks, values, tuple(interps), ins, outs, *extrapolation)
 
 

@@ -49,11 +49,11 @@ def build_meshes(
     next_names = iter(_shape_names(gltf, shape_keys, names))
     meshes: list[Mesh] = []
     shapes: list[Shape] = []
-    empty_meshes: list[str] = []
+    empty_mesh_names: list[str] = []
     for node in nodes:
         mesh = _build_mesh(gltf, node, names[node], binder)
         if mesh is None:
-            empty_meshes.append(names[node])
+            empty_mesh_names.append(names[node])
             target_count = gltf.meshes[gltf.nodes[node].mesh].target_count
             shapes += [Shape(next(next_names)) for _ in range(target_count)]
             continue
@@ -61,9 +61,11 @@ def build_meshes(
         for deltas, normals in _morph_offsets(gltf, node):
             shapes.append(Shape(next(next_names), mesh.name, deltas, normals))
     notices = []
-    if empty_meshes:
-        message = f"{counted(len(empty_meshes), 'mesh', 'meshes')} with only points or "
-        message += f"lines, or with no geometry, skipped: {listed(empty_meshes)}"
+    if empty_mesh_names:
+        message = (
+            f"{counted(len(empty_mesh_names), 'mesh', 'meshes')} with only points or "
+        )
+        message += f"lines, or with no geometry, skipped: {listed(empty_mesh_names)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(shape_keys), notices
 
