@@ -70,7 +70,7 @@ def _name_problems(name: str) -> Iterator[tuple[bool, str]]:
     yield bool(controls), f"has the control character {''.join(controls[:1])!r}"
     yield name[-1:] in {".", " "}, "ends with a dot or a space"
     yield size > MAX_NAME_BYTES, f"has more than {MAX_NAME_BYTES} bytes"
-    yield not is_text(name), "contains bytes that are not UTF-8"
+    yield not is_utf8(name), "contains bytes that are not UTF-8"
     is_device_name = name.partition(".")[0].rstrip().casefold() in _DEVICE_NAMES
     yield is_device_name, "is the name of a device on Windows"
     yield (
@@ -79,10 +79,10 @@ def _name_problems(name: str) -> Iterator[tuple[bool, str]]:
     )
 
 
-def is_text(name: str) -> bool:
+def is_utf8(name: str) -> bool:
     r"""Return whether a name is UTF-8 text; file names may contain other bytes.
 
-    >>> is_text("walk"), is_text("walk\udcff")
+    >>> is_utf8("walk"), is_utf8("walk\udcff")
     (True, False)
     """
     return re.search("[\ud800-\udfff]", name) is None

@@ -225,9 +225,11 @@ def _space_matrix(mesh: Any, skeleton: Any) -> FloatArray | None:
     cache = UsdGeom.XformCache(Usd.TimeCode.EarliestTime())
     skeleton_world = cache.GetLocalToWorldTransform(skeleton.GetPrim())
     mesh_world = cache.GetLocalToWorldTransform(mesh.GetPrim())
-    placement = np.array(skeleton_world * mesh_world.GetInverse(), np.float64).T
+    skeleton_to_mesh = np.array(skeleton_world * mesh_world.GetInverse(), np.float64).T
     return (
-        None if np.abs(placement - np.eye(4)).max() <= IDENTITY_TOLERANCE else placement
+        None
+        if np.abs(skeleton_to_mesh - np.eye(4)).max() <= IDENTITY_TOLERANCE
+        else skeleton_to_mesh
     )
 
 

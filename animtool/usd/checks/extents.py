@@ -264,9 +264,9 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     magnitude = float(np.abs(extents).max(initial=0.0))
     if overhang is None or overhang[0] <= 1e-6 * (1 + magnitude):
         return "; no skinned point exceeds it"
-    largest_distance, code, is_complete = overhang
+    largest_distance, code, has_same_joints = overhang
     time_text = "" if np.isnan(code) else f" at time code {frame_label(code)}"
-    or_more = "" if is_complete else " or more"
+    or_more = "" if has_same_joints else " or more"
     return f"; skinned points exceed it by {largest_distance:.4g}{or_more}{time_text}"
 
 
@@ -340,15 +340,15 @@ def _local_transforms(
     columns = np.array(
         [joints.index(n) if n in joints else -1 for n in animated_joints], np.int64
     )
-    is_complete = (
+    has_same_joints = (
         len(animated_joints) == len(joints)
         and (columns == np.arange(len(joints))).all()
     )
     if (parents >= np.arange(len(joints))).any() or (columns < 0).any():
         return None
-    if not is_complete and len(rest) != len(joints):
+    if not has_same_joints and len(rest) != len(joints):
         return None
-    rest_components = () if is_complete else decompose(rest)
+    rest_components = () if has_same_joints else decompose(rest)
     components = []
     for component, (attr, width) in enumerate(zip(sources, (3, 4, 3), strict=True)):
         array = subject.sampled_array(attr)
@@ -359,7 +359,7 @@ def _local_transforms(
         values = array.rows(len(animated_joints), width)[1]
         if not np.isfinite(values).all():
             return None
-        if not is_complete:
+        if not has_same_joints:
             all_joints = np.repeat(
                 rest_components[component][None], len(values), axis=0
             )

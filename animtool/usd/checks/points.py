@@ -197,8 +197,12 @@ def _check_prototypes(
     lowest, highest = np.array(index_ranges, np.int64).reshape(-1, 2).T
     is_out_of_range = (lowest < 0) | (highest >= len(targets))
     if is_out_of_range.any() and not (subject.has_only_overs and not targets):
-        worst_range = index_ranges[int(np.argmax(is_out_of_range))]
-        index = worst_range[0] if worst_range[0] < 0 else worst_range[1]
+        first_invalid_range = index_ranges[int(np.argmax(is_out_of_range))]
+        index = (
+            first_invalid_range[0]
+            if first_invalid_range[0] < 0
+            else first_invalid_range[1]
+        )
         message = (
             f"{index} is outside the {len(targets)} prototypes "
             f"{samples_text(indices, is_out_of_range)}"

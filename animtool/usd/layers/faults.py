@@ -25,7 +25,7 @@ UNIT_TOLERANCE = 1e-3
 # same lengths.
 MIN_VOLUME = 1e-12
 # Valid range of rates and units; others would overflow what they scale.
-MIN_METADATA, MAX_METADATA = 1e-9, 1e9
+MIN_RATE_OR_UNIT, MAX_RATE_OR_UNIT = 1e-9, 1e9
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,7 +99,7 @@ def joint_parents(joints: Sequence[str]) -> IntArray:
 def unit_and_axis_faults(stage: Any) -> Iterator[Fault]:
     """Yield faults of an invalid stage unit or up axis."""
     unit = UsdGeom.GetStageMetersPerUnit(stage)
-    if not MIN_METADATA <= unit <= MAX_METADATA:
+    if not MIN_RATE_OR_UNIT <= unit <= MAX_RATE_OR_UNIT:
         yield finding("USD260", "/", f"metersPerUnit is {unit:g}")
     up = str(UsdGeom.GetStageUpAxis(stage))
     if up not in list(UpAxis):

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from animtool.core.errors import Fault, OptionError
-from animtool.core.files.output import STDOUT, is_text
+from animtool.core.files.output import STDOUT, is_utf8
 from animtool.core.plugins import suffix_text
 from animtool.core.record import dataclass
 
@@ -60,7 +60,7 @@ def output_paths(output: Path, form: LayerForm) -> list[Path]:
 
 def check_path(path: Path) -> None:
     """Refuse a path that USD cannot open (OUT006)."""
-    if not is_text(str(path.absolute())):
+    if not is_utf8(str(path.absolute())):
         message = "its path contains bytes that are not UTF-8, which USD cannot open"
         raise OptionError(Fault("OUT006", message, str(path), (), "rename it"))
 

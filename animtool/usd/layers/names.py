@@ -122,6 +122,6 @@ class RigPaths:
         return RigPaths(model, root, f"{root}/Skel", f"{root}/Anim", root)
 
     def with_model(self, model: str) -> RigPaths:
-        """Return the same paths below another path of the model."""
+        """Return the paths with the path of the model replaced."""
         paths = (self.model, self.root, self.skeleton, self.animation, self.binding)
         return RigPaths(*(replace_prefix(path, self.model, model) for path in paths))

@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, Severity, counted, excerpt
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.usd.layers.faults import MAX_METADATA, MIN_METADATA, PrimLocation
+from animtool.usd.layers.faults import MAX_RATE_OR_UNIT, MIN_RATE_OR_UNIT, PrimLocation
 from animtool.usd.rigs.prims import decompose, up_axis
 
 AXIS_VECTORS = {"X": np.eye(3)[0], "Y": np.eye(3)[1], "Z": np.eye(3)[2]}
@@ -44,7 +44,7 @@ class PhysicsStage:
         self._reported_messages: set[str] = set()
         self.meters_per_unit = float(UsdGeom.GetStageMetersPerUnit(stage))
         self.kilograms_per_unit = float(UsdPhysics.GetStageKilogramsPerUnit(stage))
-        if not MIN_METADATA <= self.kilograms_per_unit <= MAX_METADATA:
+        if not MIN_RATE_OR_UNIT <= self.kilograms_per_unit <= MAX_RATE_OR_UNIT:
             message = f"kilogramsPerUnit is {self.kilograms_per_unit:g}"
             hint = "write 1e-9 to 1e9"
             PrimLocation(str(path), "/").fail("SIM051", message, hint)

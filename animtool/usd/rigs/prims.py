@@ -26,8 +26,8 @@ from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
 from animtool.usd.layers.composition import unresolved_arcs
 from animtool.usd.layers.dependencies import open_composed
 from animtool.usd.layers.faults import (
-    MAX_METADATA,
-    MIN_METADATA,
+    MAX_RATE_OR_UNIT,
+    MIN_RATE_OR_UNIT,
     PrimLocation,
     joint_order_faults,
     joint_parents,
@@ -104,7 +104,7 @@ def open_stage(path: Path) -> Any:
     stage = open_composed(open_layer(path), path)
     location = PrimLocation(str(path), "/")
     rate = stage.GetTimeCodesPerSecond()
-    if not MIN_METADATA <= rate <= MAX_METADATA:
+    if not MIN_RATE_OR_UNIT <= rate <= MAX_RATE_OR_UNIT:
         location.fail(
             "USD253",
             f"timeCodesPerSecond is {rate}",
@@ -114,7 +114,7 @@ def open_stage(path: Path) -> Any:
         ("startTimeCode", stage.GetStartTimeCode()),
         ("endTimeCode", stage.GetEndTimeCode()),
     ):
-        if not abs(code) <= MAX_METADATA:
+        if not abs(code) <= MAX_RATE_OR_UNIT:
             location.fail("USD254", f"{name} is {code}", "write -1e9 to 1e9")
     location.raise_errors(unit_and_axis_faults(stage))
     return stage
