@@ -132,7 +132,7 @@ _TEMPLATE = Template(
         "  landmarks within {fit.rms:residual} RMS; noise {fit.noise:residual} per "
         "axis",
         "[  frames: {fit.status:ends | list}]",
-        "[  shapes that the rig does not have: {links.unlinked:list 8}]",
+        "[  shapes that the rig does not have: {shape_links.unlinked:list 8}]",
         "[  written: {written.files:join}]",
     ),
     details=(SECONDS,),

@@ -56,7 +56,7 @@ if TYPE_CHECKING:
 
 # An output that is ready to be written.
 OutputPlan: TypeAlias = "BakePlan | FilePlan"
-MAX_LISTED = 6
+MAX_LISTED_NAMES = 6
 
 
 def plan_stage(
@@ -168,10 +168,12 @@ def _planned_file(
         notices += tolerance_notices(options.reduce, stream.rig, str(source))
     if entry.scene is not None and entry.scene.systems:
         system_names = [system.name for system in entry.scene.systems]
-        omitted_parts.append(f"simulated systems: {listed(system_names, MAX_LISTED)}")
+        omitted_parts.append(
+            f"simulated systems: {listed(system_names, MAX_LISTED_NAMES)}"
+        )
     if stream.tracks:
         paths = [track.path for track in stream.tracks]
-        omitted_parts.append(listed(paths, MAX_LISTED))
+        omitted_parts.append(listed(paths, MAX_LISTED_NAMES))
         stream = PassthroughTracks(stream).stream
     for text in omitted_parts:
         message = f"a {take_writer(entry.path).name} file cannot hold {text}"

@@ -89,7 +89,7 @@ class FaceResult:
 
     job: FaceJob
     fit: FaceFit
-    links: ShapeLinks
+    shape_links: ShapeLinks
     take: Take
     is_in_pixels: bool  # whether residuals are in pixels
     notices: list[Fault]
@@ -101,7 +101,7 @@ class FaceResult:
         "'mocap face' source=job.capture rig=job.rig outputs frames residual_unit "
         "pixels_per_meter rms=fit.rms noise=fit.noise rounds=fit.rounds "
         "change=fit.change landmarks=fit.landmarks shapes=fit.peaks status=fit.status "
-        "lost=links.unlinked seconds notices"
+        "lost=shape_links.unlinked seconds notices"
     )
 
     @property
@@ -173,8 +173,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
         # Landmarks of a face with other proportions do not match it.
         other_notices = [notice for notice in fit.notices if notice.code != "FAC105"]
         fit = replace(fit, notices=(*other_notices, *neutral_warnings))
-    links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
-    if not links.links:
+    shape_links = link_shapes(model.shapes, [shape.name for shape in rig.shapes], remap)
+    if not shape_links.links:
         message = f"{rig.name!r} has no face shape"
         hint = f"pair them with {argument('source_options.remap')}"
         raise OptionError(Fault("FAC009", message, str(job.rig), (), hint))
@@ -185,7 +185,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
             rotations=multiply(_Y_UP_FROM_Z_UP, fit.rotations),
             translations=rotate(_Y_UP_FROM_Z_UP, fit.translations),
         )
-    motion, head_notices = face_motion(fit, links, rig, head_motion)
+    motion, head_notices = face_motion(fit, shape_links, rig, head_motion)
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *head_notices]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = drive_take(Take(rig, capture.clock, motion, tuple(notices)))
@@ -195,7 +195,14 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
     if camera is not None:
         pixels_per_meter = float(camera[0] / np.median(fit.translations[:, 2]))
     return FaceResult(
-        job, fit, links, take, capture.is_in_pixels, notices, seconds, pixels_per_meter
+        job,
+        fit,
+        shape_links,
+        take,
+        capture.is_in_pixels,
+        notices,
+        seconds,
+        pixels_per_meter,
     )
 
 
@@ -297,18 +304,18 @@ def _neutral_warnings(
 
 
 def face_motion(
-    fit: FaceFit, links: ShapeLinks, rig: Rig, head_mode: str
+    fit: FaceFit, shape_links: ShapeLinks, rig: Rig, head_mode: str
 ) -> tuple[Motion, list[Fault]]:
     """Return shape weights and head pose as motion of a rig, and warnings.
 
     Args:
         fit: The face over frames.
-        links: Mapping from the shapes of the face to those of the rig.
+        shape_links: Mapping from the shapes of the face to those of the rig.
         rig: The rig.
         head_mode: ``rotation``, ``pose`` or ``none``.
     """
     frame_count = len(fit.weights)
-    weights = links.apply(fit.weights, len(rig.shapes))
+    weights = shape_links.apply(fit.weights, len(rig.shapes))
     rotations = Channel.static(rig.rest_rotations, frame_count)
     translations = Channel.static(rig.rest_translations, frame_count)
     notices: list[Fault] = []

@@ -318,7 +318,7 @@ def _goal_tolerances(job: IkJob) -> tuple[float, float]:
     return position_tolerance, angle_tolerance
 
 
-MAX_LISTED = 6
+MAX_LISTED_NAMES = 6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
@@ -382,7 +382,7 @@ def _map_motion(
     transfer_hint += f"{flag('to')} {rig_path}"
     if (name_map.joints < 0).all():
         message = f"has no joint of {rig.name!r}"
-        hint = f"its joints are {listed(take.rig.names, MAX_LISTED)}; "
+        hint = f"its joints are {listed(take.rig.names, MAX_LISTED_NAMES)}; "
         hint += transfer_hint
         raise OptionError(Fault("TGT017", message, str(path), (), hint))
     notices = []
@@ -405,7 +405,7 @@ def _map_motion(
         (unmatched_joints, "moves {}, which the rig does not have: they are ignored"),
     ):
         if joint_names:
-            message = message_template.format(listed(joint_names, MAX_LISTED))
+            message = message_template.format(listed(joint_names, MAX_LISTED_NAMES))
             notices.append(warning("TGT102", message))
     notices = [notice.in_file(path) for notice in notices]
     motion = replace(name_map.apply(take.motion), weights=None, controls=None)

@@ -33,7 +33,7 @@ from animtool.scene.file.tracks import (
 )
 from animtool.scene.sources.onto_rig import map_to_rig
 
-MAX_LISTED = 6
+MAX_LISTED_NAMES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +81,7 @@ class _Layer:
     delay: Fraction
     notices: list[Fault]  # notices of its file
 
-    def frames(self, rate: Fraction, first: int, count: int) -> Motion:
+    def motion_at_frames(self, rate: Fraction, first: int, count: int) -> Motion:
         """Return the motion at frames of the first source, clamped to the layer."""
         clock = self.take.clock
         if self.source.stream.curve is None:
@@ -197,7 +197,7 @@ def _duplicate_tracks(layer: _Layer, lower_layers: Sequence[_Layer]) -> list[Fau
         common_names |= dict.fromkeys(common_tracks.names(rig))
     if not common_names:
         return []
-    names_text = listed(list(common_names), MAX_LISTED)
+    names_text = listed(list(common_names), MAX_LISTED_NAMES)
     message = f"moves {names_text}, as a source above it does"
     hint = "its own are used; list the tracks of each under tracks:"
     return [
@@ -234,7 +234,9 @@ class _JoinedTake:
         for block in self.base.blocks:
             joined_block = block
             for layer in self.layers:
-                replacement = layer.frames(self._rate, frames_read, block.frames)
+                replacement = layer.motion_at_frames(
+                    self._rate, frames_read, block.frames
+                )
                 motions = joined_block, replacement
                 joined_block = with_tracks(self.base.rig, *motions, layer.tracks)
             yield joined_block

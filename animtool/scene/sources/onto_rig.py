@@ -43,7 +43,7 @@ def open_rig(path: Path, prim_path: str | None = None) -> tuple[Rig, list[Fault]
     return rig, list(rig.notices)
 
 
-MAX_LISTED = 6
+MAX_LISTED_NAMES = 6
 MOTION_IGNORED = "their motion is ignored"
 STAY_AT_REST = "they stay at rest"
 
@@ -137,7 +137,7 @@ def map_to_rig(
     indices = np.concatenate([name_map.joints, name_map.shapes, name_map.controls])
     if (indices < 0).all():
         message = f"has no joint, shape or control of {rig.name!r}"
-        hint = f"its joints are {listed(stream.rig.names, MAX_LISTED)}; "
+        hint = f"its joints are {listed(stream.rig.names, MAX_LISTED_NAMES)}; "
         hint += "animtool retarget moves a take to another rig"
         raise OptionError(note("SCN036", message, hint))
     source_blocks, curve = stream.blocks, stream.curve

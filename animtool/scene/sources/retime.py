@@ -200,7 +200,7 @@ def range_distance(
     take_range = " to ".join(map(media_timecode.label, take_seconds))
     side = "after" if shot_seconds[0] > 0 else "before"
     message = f"the range shows {shot_range}, but the take is {take_range}: the range "
-    message += f"is {_distance_text(shot_seconds[0])} {side} it"
+    message += f"is {_duration_text(shot_seconds[0])} {side} it"
     timecode_text = _likely_first_timecode(shot, shot_seconds[0], length)
     hint = "if the first timecode of the take is different, set it: "
     hint += argument("first_timecode", timecode_text)
@@ -209,10 +209,10 @@ def range_distance(
     return message, hint
 
 
-def _distance_text(seconds: Fraction) -> str:
-    """Return a distance in time as text, with hours if it is close to some.
+def _duration_text(seconds: Fraction) -> str:
+    """Return a duration as text, with hours if it is close to whole hours.
 
-    >>> _distance_text(Fraction(3601)), _distance_text(Fraction(-12))
+    >>> _duration_text(Fraction(3601)), _duration_text(Fraction(-12))
     ('about an hour (3601 s)', '12 s')
     """
     duration = abs(seconds)

@@ -173,7 +173,7 @@ class SpecEntryReader(EntryReader):
                 entries[key] = read_entry((*location, key), value)
         return entries
 
-    def entry(self, location: Location, model: FileModel) -> Any:
+    def parse_entry(self, location: Location, model: FileModel) -> Any:
         """Return the parsed entries of a model, or its record; None if it is faulty."""
         self.check_ranges(location, model)
         entries = self.entry_values(location, model)
@@ -207,7 +207,7 @@ class SpecEntryReader(EntryReader):
                 for base in annotation.__mro__
                 if base in READER_METHODS
             )
-            reader: Reader = getattr(self, next(readers, "entry"))
+            reader: Reader = getattr(self, next(readers, "parse_entry"))
             return reader
         item_readers = (
             self._reader(base, is_checked=is_checked) for base in get_args(annotation)

@@ -364,7 +364,7 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
 
 def system_job(
     systems: Sequence[SceneSystem],
-    model: str,
+    model_path: str,
     metadata: StageMetadata,
     meters_per_unit: float,
     up: UpAxis,
@@ -373,7 +373,7 @@ def system_job(
     rotation = up_from_up(up, UpAxis.Y)
     written_systems = [system for system in systems if system.is_written]
     return SimulatedJob(
-        model,
+        model_path,
         _prim_names(written_systems),
         metadata,
         meters_per_unit,

@@ -119,7 +119,10 @@ class Surroundings:
     def needed_systems(self) -> tuple[tuple[str, Location], ...]:
         """Systems that this one collides with or that carry it, and their locations."""
         surfaces = self._collided_systems("system")
-        return (*((surface.system, key) for surface, key in surfaces), *self._ties)
+        return (
+            *((surface.system, key) for surface, key in surfaces),
+            *self._particle_carriers,
+        )
 
     @property
     def pushed_systems(self) -> tuple[tuple[str, Location], ...]:
@@ -128,10 +131,10 @@ class Surroundings:
         pushed_by_surfaces = (
             (surface.system, key) for surface, key in surfaces if surface.two_way
         )
-        return (*pushed_by_surfaces, *self._ties)
+        return (*pushed_by_surfaces, *self._particle_carriers)
 
     @property
-    def _ties(self) -> tuple[tuple[str, Location], ...]:
+    def _particle_carriers(self) -> tuple[tuple[str, Location], ...]:
         """Rigid systems that carry particles of the system, and their locations."""
         return tuple(
             (name, (*self.location, *parse_location(key_text)[:-1], "system"))

@@ -28,8 +28,8 @@ MAX_SLAB_RATIO, MAX_UPRIGHT_SINE = 0.1, 0.1
 # A box of which half or more is cut was placed by a corner, or beyond a wall; half of a
 # sphere may be meant as a dome [1]. Placed as meant, hardly anything is cut [1].
 MAX_CUT_FRACTION, MAX_ROUND_CUT_FRACTION, MAX_DISPLACED_CUT_FRACTION = 0.45, 0.55, 0.1
-# Points along each side at which it is measured.
-FILL_SAMPLES = 12
+# Sample points along each side of a shape's bounds, for its cut fraction.
+FILL_SAMPLES_PER_SIDE = 12
 # Height above the ground that no position of a crowd needs [m].
 MAX_HEIGHT = 2.0
 # Names of pins of each kind, in hints.
@@ -273,7 +273,7 @@ def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
 def _fill_samples(shape: Box | Sphere | Capsule) -> FloatArray:
     """Return points evenly inside a shape ``(N, 3)`` [m]."""
     low, high = shape_bounds(shape)
-    axis = (np.arange(FILL_SAMPLES) + 0.5) / FILL_SAMPLES
+    axis = (np.arange(FILL_SAMPLES_PER_SIDE) + 0.5) / FILL_SAMPLES_PER_SIDE
     grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
     points = low + (high - low) * grid.reshape(-1, 3)
     is_inside = Colliders([Collider(shape)]).sample(points, 0.0).distances[0] < 0

@@ -107,9 +107,9 @@ def _trial(
         nonlocal max_point_count
         method, max_evaluations = setting.method, None
         if not spec.has_trial_settings:
-            is_other = method != trial_settings.configured_setting.method
+            is_other_method = method != trial_settings.configured_setting.method
             max_evaluations = _evaluation_limit(
-                method, max_point_count, is_other_method=is_other
+                method, max_point_count, is_other_method=is_other_method
             )
         changes = trial_settings.changes(setting)
         outcome = _outcome(
@@ -188,8 +188,8 @@ def _trial_settings(spec: SystemSpec, spec_method: str) -> TrialSettings:
         changes: dict[str, Any] = dict(setting.options)
         changes |= {spec.method_key: setting.method} if spec.method_key in keys else {}
         if "tolerance" in keys:
-            file_tolerance = tolerance if setting.method == spec_method else None
-            changes.setdefault("tolerance", file_tolerance)
+            kept_tolerance = tolerance if setting.method == spec_method else None
+            changes.setdefault("tolerance", kept_tolerance)
         return changes
 
     file_setting = Setting.of(spec_method, step=spec.step, **options)

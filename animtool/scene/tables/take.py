@@ -136,7 +136,10 @@ class _ReferencePoints:
 
     @staticmethod
     def of(take: Take, rate: Fraction, *, is_curved: bool) -> _ReferencePoints:
-        """Return the points of a take compared at up to a rate [frame/s]."""
+        """Return the points of a take at the times that are compared.
+
+        ``rate`` [frame/s] is the highest rate of samples to compare with.
+        """
         clock = take.clock
         curve = take.curve if is_curved else None
         # For a curve there are also instants between two samples at the highest rate.
