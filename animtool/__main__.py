@@ -9,9 +9,9 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import NoReturn
 
-# Objects made before the youngest are looked through for circles: loading makes many,
-# of which hardly any is let go.
-YOUNGEST = 200_000
+# Allocations between garbage collections of the youngest objects: loading allocates
+# many objects and frees hardly any.
+GC_YOUNG_THRESHOLD = 200_000
 
 
 def main() -> NoReturn:
@@ -23,7 +23,7 @@ def main() -> NoReturn:
     import gc
     import os
 
-    gc.set_threshold(YOUNGEST)
+    gc.set_threshold(GC_YOUNG_THRESHOLD)
     # Plug-ins of pydantic have no say in what files mean: none is searched for.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     try:

@@ -56,7 +56,7 @@ from animtool.core.shot import Shot
 from animtool.scene.sources.open import source_stem
 
 # Maximum numbers of reported faults and of listed names.
-MAX_FAULTS, MAX_LISTED = 100, 100
+MAX_FAULTS, MAX_LISTED_SHOTS = 100, 100
 # Leaves room for the rest of a file name within the limits of disks.
 MAX_NAME_LENGTH = 120
 # Everything but characters that are safe in file names and variables.
@@ -125,7 +125,7 @@ def _shot_clips(
     if not names:
         message = "has no clip, so there is no shot to bake"
         raise OptionError(Fault("BAT048", message, str(path)))
-    shots_text = f"the shots are {listed(names, MAX_LISTED)}"
+    shots_text = f"the shots are {listed(names, MAX_LISTED_SHOTS)}"
     if name is None:
         if len(names) == 1:
             return list(shown_clips)

@@ -19,7 +19,7 @@ from animtool.core.values import template_values
 from animtool.motion.scores import PassScores, sort_key_of_scores
 
 # Number of slowest items, and of largest errors, in a summary.
-MAX_LISTED = 3
+MAX_LISTED_REPORTS = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,13 +122,17 @@ class BatchReport:
         built_reports = [
             report for report in self.items if report.status is ItemStatus.DONE
         ]
-        return sorted(built_reports, key=lambda report: -report.seconds)[:MAX_LISTED]
+        return sorted(built_reports, key=lambda report: -report.seconds)[
+            :MAX_LISTED_REPORTS
+        ]
 
     @property
     def largest_errors(self) -> list[ItemReport]:
         """Reports of the items with the largest errors, largest first."""
         reports = [report for report in self.items if _largest_error(report) > 0]
-        return sorted(reports, key=lambda report: -_largest_error(report))[:MAX_LISTED]
+        return sorted(reports, key=lambda report: -_largest_error(report))[
+            :MAX_LISTED_REPORTS
+        ]
 
     @property
     def items_with_scores(self) -> list[ItemReport]:

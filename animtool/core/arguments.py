@@ -51,7 +51,7 @@ class Argument:
 
 @dataclass(frozen=True, slots=True)
 class Clause:
-    """Part of a text that is left out if its arguments have no names."""
+    """Part of a text, omitted if the interface has no name for its arguments."""
 
     parts: tuple[TextPart, ...]
 

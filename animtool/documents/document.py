@@ -188,13 +188,13 @@ class Document:
             values: One value per entry.
             key: Key of the value in an entry; placeholders are skipped.
         """
-        previous: int | None = None
+        previous_index: int | None = None
         for i, value in enumerate(values):
             if self.is_placeholder((*location, i, key)):
                 continue
-            if previous is not None and not value > values[previous]:
-                yield i, previous
-            previous = i
+            if previous_index is not None and not value > values[previous_index]:
+                yield i, previous_index
+            previous_index = i
 
     def add(
         self,

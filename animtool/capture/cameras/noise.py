@@ -113,8 +113,8 @@ def measure_noise(
         *_, residuals, states = triangulate(
             is_active, noise, _UNLIMITED_GATE, max_condition, detailed=True
         )
-        total_noise = _pooled_noise(_residual_lengths(residuals), states == USED_STATE)
-        noise[:] = noise if total_noise is None else max(total_noise, MIN_NOISE)
+        pooled_noise = _pooled_noise(_residual_lengths(residuals), states == USED_STATE)
+        noise[:] = noise if pooled_noise is None else max(pooled_noise, MIN_NOISE)
         return ObservationNoise(noise, pose_changes, do_cameras_agree=False)
     noise[list(pose_changes)] = np.median(noise[is_active[0]])
     return ObservationNoise(noise, pose_changes)

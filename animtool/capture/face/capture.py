@@ -115,7 +115,7 @@ def _format_error(path: Path, message: str, hint: str | None = None) -> FormatEr
 def _read_arrays(
     archives: Archives,
     path: Path,
-    array: str,
+    array_name: str,
     unit: LengthUnit | None,
     up: UpAxis,
     fps: FractionLike | None,
@@ -123,8 +123,8 @@ def _read_arrays(
     """Read and check the arrays of an npz that `read_capture` lists."""
     array_names = archives.names(path)
     point_arrays = [name for name in array_names if _POINTS_ARRAY.fullmatch(name)]
-    if array:
-        point_arrays = [array]
+    if array_name:
+        point_arrays = [array_name]
     if not point_arrays:
         hint = f"it holds {listed(array_names)}; landmarks_mm (F, N, 3) are positions "
         hint += "in mm"

@@ -63,10 +63,10 @@ def _subtree_counts(parents: IntArray, is_counted: BoolArray) -> IntArray:
     return counts
 
 
-def limbs_of(parents: IntArray) -> IntArray:
+def limb_roots(parents: IntArray) -> IntArray:
     """Return the topmost joint of each joint's limb ``(J,)``; -1 in the trunk.
 
-    >>> limbs_of(np.array([-1, 0, 1, 0, 3])).tolist()
+    >>> limb_roots(np.array([-1, 0, 1, 0, 3])).tolist()
     [-1, 1, 1, 3, 3]
     """
     counts = _subtree_counts(parents, np.ones(len(parents), bool))

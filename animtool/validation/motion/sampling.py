@@ -12,7 +12,7 @@ from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, counted
 from animtool.maths.runs import runs
-from animtool.validation.motion.body import limbs_of
+from animtool.validation.motion.body import limb_roots
 from animtool.validation.motion.subject import MotionSubject
 
 # A time code closer to a frame than this is that frame, up to rounding [time codes].
@@ -277,7 +277,7 @@ def _in_two_limbs(subject: MotionSubject, is_flagged: BoolArray) -> BoolArray:
     moves as far as in several steps counts as two limbs. ``is_flagged``: mask of
     flagged columns ``(S, N)``.
     """
-    limbs = limbs_of(subject.take.rig.parents)[_column_joints(subject)]
+    limbs = limb_roots(subject.take.rig.parents)[_column_joints(subject)]
     is_translating = np.arange(len(limbs)) >= len(subject.rotating_joints)
     limbs = np.where(is_translating & (limbs < 0), -2, limbs)
     is_limb_flagged = [
