@@ -35,7 +35,7 @@ class GoalKind:
     name: str  # its weight field in `Goal`, and its key in targets files
     targets_field: str  # its field in `Targets`
     value_type: TargetValue
-    rows: int  # number of residuals
+    residual_count: int
     is_length: bool  # whether its miss is a length [m], else an angle [rad]
     depends_on_rotation: bool = True  # whether rotating about the point changes it
     is_direction: bool = False  # whether only the direction of its target counts
@@ -58,7 +58,7 @@ KINDS = (
         "position",
         "positions",
         TargetValue.POINT,
-        rows=3,
+        residual_count=3,
         is_length=True,
         depends_on_rotation=False,
         description="Target of the point: three numbers, an array (F, 3), keys or a "
@@ -71,7 +71,7 @@ KINDS = (
         "orientation",
         "rotations",
         TargetValue.ROTATION,
-        rows=3,
+        residual_count=3,
         is_length=False,
         is_direction=True,
         description="Target rotation of the joint: [w, x, y, z], an array (F, 4) of "
@@ -84,7 +84,7 @@ KINDS = (
         "aim",
         "aims",
         TargetValue.POINT,
-        rows=2,
+        residual_count=2,
         is_length=False,
         is_direction=True,
         has_axis=True,
@@ -97,7 +97,7 @@ KINDS = (
         "pole",
         "poles",
         TargetValue.POINT,
-        rows=1,
+        residual_count=1,
         is_length=False,
         depends_on_rotation=False,
         is_direction=True,
@@ -195,7 +195,7 @@ class Goal:
     @property
     def rows(self) -> int:
         """Number of residuals."""
-        return sum(kind.rows for kind in self.kinds)
+        return sum(kind.residual_count for kind in self.kinds)
 
     @property
     def ignores_joint_rotation(self) -> bool:

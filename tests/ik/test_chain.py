@@ -118,7 +118,7 @@ def test_the_gradient_of_each_kind_is_exact(kind: GoalKind) -> None:
     targets = pack_for_chain(problem, Targets(**{kind.targets_field: target}))
     pose, still = random_pose(problem, 3), np.zeros(problem.degrees)
     _, residual, jacobian, _ = look(problem, pose, targets, still)
-    assert residual.shape == (kind.rows,)
+    assert residual.shape == (kind.residual_count,)
     gradient = -jacobian.T @ residual
     assert np.abs(gradient).max() > 1e-3
     for d, direction in enumerate(np.eye(problem.degrees)):

@@ -56,7 +56,13 @@ def looked(arrays: dict[str, Any], start: list[float], goals: np.ndarray) -> Any
 
 def test_kinds_of_goals_are_those_of_the_table() -> None:
     table = [
-        (kind.name, kind.rows, kind.value_type.value, kind.is_length, kind.supports_ccd)
+        (
+            kind.name,
+            kind.residual_count,
+            kind.value_type.value,
+            kind.is_length,
+            kind.supports_ccd,
+        )
         for kind in KINDS
     ]
     assert list(_kernels.IK_GOAL_KINDS) == table

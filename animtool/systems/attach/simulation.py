@@ -136,9 +136,9 @@ class AttachSimulation:
         # Index of the next frame; 0 is the first of the take.
         self._frame = 0 if options.loop else -prepended_frames
         self._progress = progress
-        self._advanced_frames, self._total_frames = 0, 1
+        self._advanced_frame_count, self._total_frame_count = 0, 1
         self._previous_pose: LocalPose | None = None
-        self._frames_done = 0
+        self._done_frame_count = 0
         self._last_rotations: dict[int, FloatArray] = {}
 
     def _collides_with_skins(self, body: AttachedBody) -> bool:
@@ -173,13 +173,13 @@ class AttachSimulation:
         values = 3 * sum(body.network.count for body in self.bodies)
         block_frames = max(BLOCK_VALUES // max(values, 1), 2)
         for block in _first_block_of_two(motions):
-            self._advanced_frames, self._total_frames = 0, block.frames
+            self._advanced_frame_count, self._total_frame_count = 0, block.frames
             for begin in range(0, block.frames, block_frames):
                 yield self._block(block.select(slice(begin, begin + block_frames)))
 
     def _block(self, block: Motion) -> Motion:
         """Return a block of the motion with simulated attachments."""
-        codes = self._codes(self._frames_done, block.frames)
+        codes = self._codes(self._done_frame_count, block.frames)
         rows = [_AttachmentFrames([], []) for _ in self.bodies]
         for i in range(block.frames):
             pose = pose_at(block, i)
@@ -194,7 +194,7 @@ class AttachSimulation:
                 actor.measure(float(codes[i]), actor.positions, surroundings)
                 row.simulated_points.append(actor.positions)
                 row.animated_points.append(actor.animated_positions)
-        self._frames_done += block.frames
+        self._done_frame_count += block.frames
         self.visited_codes += codes.tolist()
         return self._blend(block, codes, rows)
 
@@ -230,7 +230,7 @@ class AttachSimulation:
         static_poses = FramePoses(self.rig, start_pose, start_pose)
         settle_frames = math.ceil(options.settle * rate)
         self._frame -= settle_frames + preroll_frames
-        self._total_frames += settle_frames + preroll_frames
+        self._total_frame_count += settle_frames + preroll_frames
         for _ in range(settle_frames):
             self._advance_actors(static_poses)
         if extrapolates and preroll_frames:
@@ -271,9 +271,9 @@ class AttachSimulation:
                 actor_steering = steering[number] if steering else None
                 actor.advance_frame(frame_poses, self._frame, actor_steering)
             if self._progress is not None:
-                self._advanced_frames += 1
-                total = self._total_frames * len(self.actors)
-                self._progress(min(self._advanced_frames / total, 1.0))
+                self._advanced_frame_count += 1
+                total = self._total_frame_count * len(self.actors)
+                self._progress(min(self._advanced_frame_count / total, 1.0))
         self._frame += 1
         if not self.options.loop:
             # The next frame samples surfaces a little before its start.
@@ -309,7 +309,10 @@ class AttachSimulation:
             end_poses = (poses[0], poses[1], poses[-2], poses[-1])
             travel = cycle_travel(self.rig, up_direction(self.rig), end_poses)
         poses.append(advance_cycle(self.rig, poses[0], travel))
-        self._advanced_frames, self._total_frames = 0, count * self.options.loop_repeats
+        self._advanced_frame_count, self._total_frame_count = (
+            0,
+            count * self.options.loop_repeats,
+        )
         self._begin(poses[0], poses[1])
         tolerance = parse_length(self.options.loop_tolerance)
         max_repeats = self.options.loop_repeats

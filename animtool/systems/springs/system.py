@@ -59,7 +59,7 @@ MAX_STEPS_PER_CALL = 1 << 20
 class _Stage(NamedTuple):
     """Paths of pins and targets between two teleports, and the kernel network."""
 
-    number: int  # number of teleports before it
+    teleport_count: int  # number of teleports before it
     pins: TimedPositions
     targets: TimedPositions
     network: _kernels.SpringNetwork
@@ -218,19 +218,19 @@ class SpringSystem(SecondOrder):
             stage.network.set_paths(pins[1], targets[1])
             self._cached_stage = _Stage(0, pins, targets, stage.network)
 
-    def _stage(self, number: int) -> _Stage:
+    def _stage(self, teleport_count: int) -> _Stage:
         """Return the paths and the kernel network of a stage, cached."""
         stage = self._cached_stage
-        if stage is None or stage.number != number:
+        if stage is None or stage.teleport_count != teleport_count:
             has_teleports = len(self.teleports) > 0
             pins, targets = (
-                self.teleports.stage_paths(number)
+                self.teleports.stage_paths(teleport_count)
                 if has_teleports
                 else self._constraint_paths
             )
             knots, paths = resample_to_shared_times([pins, targets, self._wind_path])
             network = self._network(PrescribedMotion(knots, *paths))
-            stage = self._cached_stage = _Stage(number, pins, targets, network)
+            stage = self._cached_stage = _Stage(teleport_count, pins, targets, network)
         return stage
 
     def _network(self, prescribed: PrescribedMotion) -> _kernels.SpringNetwork:
