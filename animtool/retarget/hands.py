@@ -19,10 +19,10 @@ from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.transfer import Transfer
 
 # Hands hold each other if their wrists are nearer than this fraction of an arm length,
-JOINED_DISTANCE = 0.4
+MAX_JOINED_DISTANCE_RATIO = 0.4
 # and the vector between them changes by less than this fraction of an arm length per
 # second.
-JOINED_SPEED = 0.25
+MAX_JOINED_SPEED_RATIO = 0.25
 # Gaussian width of smoothing before speeds are computed [s].
 SMOOTHING_SECONDS = 0.03
 # A hand touches the ground below this fraction of an arm length; below half of that it
@@ -265,8 +265,8 @@ def _are_hands_joined(separation: FloatArray, length: float, fps: float) -> Bool
         return np.zeros(len(separation), np.bool_)
     smooth_separation = gaussian_smooth(separation, SMOOTHING_SECONDS * fps)
     speed = np.linalg.norm(np.gradient(smooth_separation, axis=0), axis=1) * fps
-    is_near = np.linalg.norm(separation, axis=1) < JOINED_DISTANCE * length
-    return remove_short_runs(is_near & (speed < JOINED_SPEED * length), fps)
+    is_near = np.linalg.norm(separation, axis=1) < MAX_JOINED_DISTANCE_RATIO * length
+    return remove_short_runs(is_near & (speed < MAX_JOINED_SPEED_RATIO * length), fps)
 
 
 def _arm_length(skeleton: RoledSkeleton, side: str) -> float:
