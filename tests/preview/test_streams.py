@@ -49,7 +49,7 @@ def test_large_streams_have_blocks_of_their_own() -> None:
     values = rng.normal(0, 1, (40, 60_000)).astype(np.float32)
     packer = StreamPacker()
     small = packer.add(quantize_range(values[:, :3]))
-    large = packer.add(quantize_range(values, period=3))
+    large = packer.add(quantize_range(values, column_period=3))
     page = read(packer)
     streams = page.manifest["streams"]
     assert len(streams[large]["block"]) > 1
@@ -61,7 +61,7 @@ def test_large_streams_have_blocks_of_their_own() -> None:
 def test_gaps_are_nan() -> None:
     values = np.array([[0.0, 1, 2, np.nan, np.nan, np.nan], [3.0, 4, 5, 6, 7, 8]])
     packer = StreamPacker()
-    number = packer.add(quantize_range(values, period=3))
+    number = packer.add(quantize_range(values, column_period=3))
     np.testing.assert_allclose(read(packer).values(number), values, atol=1e-4)
 
 

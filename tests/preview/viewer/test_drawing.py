@@ -109,7 +109,7 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
         faces=faces,
         skin=None,
         shapes=[],
-        cache=draft.packer.add(quantize_range(cached.reshape(3, -1), period=3)),
+        cache=draft.packer.add(quantize_range(cached.reshape(3, -1), column_period=3)),
         color=None,
         visible=None,
     )
@@ -118,7 +118,9 @@ def test_caches_points_strands_and_copies(tmp_path: Path, browser: Browser) -> N
     draft.add(
         "points",
         name="spray",
-        positions=draft.packer.add(quantize_range(balls.reshape(3, -1), period=3)),
+        positions=draft.packer.add(
+            quantize_range(balls.reshape(3, -1), column_period=3)
+        ),
         radius=0.05,
         radii=None,
         color=[1.0, 0.5, 0.0],
