@@ -244,14 +244,18 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
     )
     for k, population in enumerate(spec.populations):
         location = f"populations[{k}]"
-        for name in population.route:
+        for i, name in enumerate(population.route):
             if name not in goals:
                 known_goals = f"the goals are {', '.join(goals)}"
                 hint = known_goals if goals else "add it to goals"
-                yield f"unknown goal {excerpt(name)}", location, hint
+                message = f"unknown goal {excerpt(name)}"
+                if any(door.name == name for door in spec.doors):
+                    message = f"{excerpt(name)} is a door, not a goal"
+                    hint = "remove it: agents go through doors on their way"
+                yield message, f"{location}.route[{i}]", hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
-            yield message, location, "then: stay"
+            yield message, f"{location}.then", "then: stay"
     for key in ("shows", "gaits"):
         has_key = [getattr(entry, key) is not None for entry in spec.populations]
         if any(has_key) and not all(has_key):

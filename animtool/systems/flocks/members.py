@@ -234,11 +234,14 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
         location = f"species[{k}]"
-        relations = [*species.flees, *species.chases]
-        for name in [*species.joins, *(relation.species for relation in relations)]:
+        named_species = [(f"joins[{i}]", name) for i, name in enumerate(species.joins)]
+        for key, relations in (("flees", species.flees), ("chases", species.chases)):
+            for i, relation in enumerate(relations):
+                named_species.append((f"{key}[{i}].species", relation.species))
+        for key, name in named_species:
             if name not in names:
                 hint = f"the species are {', '.join(names)}"
-                yield f"unknown species {excerpt(name)}", location, hint
+                yield f"unknown species {excerpt(name)}", f"{location}.{key}", hint
         yield from _speed_problems(species, location)
     has_mesh = [species.shows is not None for species in spec.species]
     if any(has_mesh) and not all(has_mesh):

@@ -15,6 +15,7 @@ from animtool.core.errors import (
     warning,
 )
 from animtool.core.options import range_faults
+from animtool.sim.checks import times_problem
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 
@@ -66,9 +67,9 @@ def check_path(
     if times is None and path.shape == (count, 3):
         path = path[None]
     shape = (*knots.shape, count, 3)
-    message = ""
+    message, hint = "", None
     if knots.ndim != 1 or not len(knots):
-        message = f"times must be a list of at least one, not of shape {knots.shape}"
+        message, hint = times_problem(knots)
     elif path.shape != shape:
         message = f"positions must have shape {shape}, not {path.shape}"
     elif not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
@@ -77,7 +78,7 @@ def check_path(
         row_index = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
         message = f"positions at {knots[row_index]:g} s are not finite"
     if message:
-        refuse("SIM044", message, name)
+        refuse("SIM044", message, name, hint)
     return knots, path
 
 
