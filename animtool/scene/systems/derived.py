@@ -417,6 +417,8 @@ def read_spec(
     record, faults = spec.build_record(entries)
     for fault in faults:
         key_location = (*location, *parse_location(fault.where or ""))
+        if fault.where and document.has_placeholder_below(key_location):
+            continue  # a value of it is faulty
         document.add(fault.code, key_location, fault.message, fault.hint)
     if record_reader.is_valid:
         record_reader.record_entry_faults(location, spec, spec.faults(entries))

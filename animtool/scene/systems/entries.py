@@ -224,6 +224,9 @@ class EntryReader:
             elif pose_key == "turns" and not rows[:, 1:].any(axis=1).all():
                 messages[pose_key] = "a quaternion must not be all 0"
         for pose_key, message in messages.items():
+            if self.document.has_placeholder_below((*location, pose_key)):
+                self.is_valid = False
+                continue  # its rows are faulty
             self.record_fault((*location, pose_key), Fault(code, message))
         return None if messages else keyed_poses(model, entry_poses)
 

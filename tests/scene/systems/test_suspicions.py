@@ -146,6 +146,21 @@ TUG = """\
 
 
 @pytest.mark.parametrize("systems", [LIFT, TUG])
+def test_rows_without_their_times(tmp_path: Path, systems: str) -> None:
+    faults = notices(tmp_path, systems.replace("ROWS", "[[0, 0, 0], [0, 2, 0]]"))
+    assert [fault.code for fault in faults] == ["DOC022"] * 2
+    assert all("[seconds, x, y, z]" in (fault.hint or "") for fault in faults)
+
+
+def test_planets_in_kilograms(tmp_path: Path) -> None:
+    systems = "- nbody:\n    name: a\n    bodies: [{name: sun, mass: 1.989e30}]\n"
+    faults = notices(tmp_path, systems)
+    assert [fault.code for fault in faults] == ["DOC021", "DOC020", "DOC022"]
+    assert "write it there" not in str(faults[1])
+    assert "gravity_constant" in (faults[2].hint or "")
+
+
+@pytest.mark.parametrize("systems", [LIFT, TUG])
 @pytest.mark.parametrize(
     ("rows", "found"),
     [
