@@ -411,7 +411,7 @@ def read_spec(
     stated_values = spec.model_dump(exclude_unset=True, by_alias=True)
     warn_of_forces(document, location, stated_values, units.length, shape_volume)
     warn_of_rotations(document, location, stated_values)
-    warn_of_agents_and_atoms(document, location, stated_values)
+    warn_of_agents_and_atoms(document, location, stated_values, units.length)
     if units.angle == 1.0:
         warn_of_radians(document, location, stated_values)
     record, faults = spec.build_record(entries)

@@ -83,7 +83,7 @@ def coarse_drop_warnings(
 def thin_fill_warnings(
     spec: FluidModel, fill_data: Sequence[Mapping[str, Any]]
 ) -> Iterator[Fault]:
-    """Yield a warning about the first fill that is thinner than the spacing (SIM204)."""
+    """Yield a warning about the first fill thinner than the spacing (SIM204)."""
     for i, data in enumerate(fill_data):
         if data.get("shape") is None:
             continue

@@ -346,6 +346,40 @@ def test_gravity_of_metres_in_a_scene_in_centimetres(tmp_path: Path) -> None:
     assert codes(tmp_path, PARTICLES.replace("FORCE", "gravity: "), head) == []
 
 
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ("radius: 0.3, height: 1.8", "height"),
+        ("radius: 0.3, height: 180", "radius"),
+        ("radius: 30, height: 180, speed: {mean: 1.3}", "speed.mean"),
+        ("radius: 30, height: 180, speed: {mean: 130}", None),
+        ("radius: 4, height: 2, speed: {mean: 9}", None),  # beetles
+    ],
+)
+def test_people_of_metres_in_a_scene_in_centimetres(
+    tmp_path: Path, keys: str, key: str | None
+) -> None:
+    systems = PEOPLE.replace("radius: 0.3, height: 1.8", keys)
+    warnings = notices(tmp_path, systems, "units: {length: cm}\n")
+    assert [warning.code for warning in warnings] == ["SIM200"] * bool(key)
+    assert not key or str(warnings[0].where).endswith(f"populations[0].{key}")
+
+
+@pytest.mark.parametrize(
+    ("keys", "found"),
+    [
+        ("pace: 8, thermostat: {temperatures: [[0, 20], [16, 160]]}", True),
+        ("pace: 8, thermostat: {temperatures: [[0, 20], [2, 160]]}", False),
+        ("pace: 1, thermostat: {temperatures: [[0, 20], [16.5, 160]]}", False),
+        ("pace: 1, thermostat: {temperatures: [[0, 20], [48, 160]]}", True),
+    ],
+)
+def test_times_of_a_thermostat(tmp_path: Path, keys: str, found: bool) -> None:
+    system = "- molecules: {name: a, box: [2.3, 2.3, 2.3], step: 0.00125, "
+    system += f"species: [{{name: argon, count: 108}}], {keys}}}\n"
+    assert [fault.code for fault in notices(tmp_path, system)] == ["SIM200"] * found
+
+
 def test_a_cable_may_be_long(tmp_path: Path) -> None:
     cable = ROPE.replace("to: [0, 0.8, 0]", "to: [60, 3, 0]")
     assert codes(tmp_path, cable) == ["SIM200"]
