@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
@@ -25,6 +25,7 @@ from animtool.documents.placeholders import (
 from animtool.documents.value_faults import (
     expected_structures,
     intended_choice,
+    is_beyond_general_limit,
     is_euler_angles,
     is_type_fault,
     value_hint,
@@ -45,6 +46,12 @@ from animtool.documents.versions import renamed_key
 from animtool.documents.yaml_text import flow_text
 from animtool.documents.yaml_values import flow_value
 
+# Rows of a time and a value, by key.
+TIMED_ROWS = {
+    "moves": "[seconds, x, y, z]",
+    "turns": "[seconds, w, x, y, z]",
+    "gusts": "[seconds, x, y, z]",
+}
 # Maximum number of faulty values that are replaced by placeholders.
 MAX_REPLACED_VALUES = 200
 # Number of unknown keys from which an entry gets a single fault.
@@ -208,10 +215,28 @@ class ModelFaults:
                     return f"it is a key of {absent_key!r}: write it there"
         for depth in reversed(range(len(parent))):
             if key in fields_at(self.model, self.value, parent[:depth]):
+                if key in value_at(self.value, parent[:depth]):
+                    return None  # it has one
                 label = location_text(parent[:depth])
                 owner_text = f"of {label}" if label else "at the top level of the file"
                 return f"it is a key {owner_text}: write it there"
         return None
+
+    def _limit_hint(self, location: Location, faults: list[Any]) -> str | None:
+        """Return a hint for a number beyond the limit of all numbers."""
+        if not is_beyond_general_limit(faults):
+            return None
+        depths = range(len(location))
+        names = {
+            name
+            for depth in depths
+            for name in fields_at(self.model, self.value, location[:depth])
+        }
+        hint = "write it in a larger unit"
+        if "gravity_constant" in names:
+            hint = "use larger units of mass, length and time throughout, and write "
+            hint += "gravity_constant in these"
+        return hint
 
     def _record_unrecognised_entry(self, parent: Location) -> bool:
         """Record a single fault if a list entry has no known key."""
@@ -396,7 +421,9 @@ class ModelFaults:
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
             self._record_bad_dash((*location, next(iter(value))), {})
         elif not self._depends_on_unknown_kind(location):
-            hint = _entry_hint(location, faults[0]) or value_hint(location[-1], faults)
+            hint = _entry_hint(location, faults[0]) or _row_hint(location, faults)
+            hint = hint or value_hint(location[-1], faults)
+            hint = hint or self._limit_hint(location, faults)
             hint = hint or self._syntax_hint(location, faults)
             self.document.add("DOC022", location, values_message(faults), hint)
         self._insert_placeholder(location)
@@ -482,6 +509,14 @@ def _fault_location(value: Any, fault: Any) -> Location:
             continue
         existing_steps.append(step)
     return tuple(existing_steps)
+
+
+def _row_hint(location: Location, faults: Sequence[Any]) -> str | None:
+    """Return a hint with the form of a row of a time and a value; else None."""
+    if not _is_list_entry(location) or not expected_structures(faults):
+        return None
+    row_form = TIMED_ROWS.get(str(location[-2]))
+    return row_form and f"write rows {row_form}"
 
 
 def _entry_hint(location: Location, fault: Any) -> str | None:

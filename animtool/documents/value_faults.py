@@ -18,6 +18,8 @@ from animtool.documents.yaml_values import (
 
 # Larger bounds are general limits, not the key's.
 MIN_GENERAL_LIMIT = 1e9
+# Larger bounds are those of numbers with a unit, not of counts.
+MIN_UNIT_LIMIT = 1e15
 # Bounds up to this size mean "above 0".
 MAX_ZERO_BOUND = 1e-30
 # Faults of numbers out of range: the key of the bound, and the comparison as text.
@@ -89,6 +91,16 @@ def is_euler_angles(faults: Sequence[Any]) -> bool:
 def is_type_fault(faults: Iterable[Any]) -> bool:
     """Return whether any fault of a value is a wrong type."""
     return any(fault["type"] in _EXPECTED_NOUNS for fault in faults)
+
+
+def is_beyond_general_limit(faults: Iterable[Any]) -> bool:
+    """Return whether a number is beyond the limit of all numbers."""
+    bounds = [
+        fault.get("ctx", {}).get(_BOUND_FAULTS[fault["type"]][0])
+        for fault in faults
+        if fault["type"] in _BOUND_FAULTS
+    ]
+    return any(bound and abs(bound) >= MIN_UNIT_LIMIT for bound in bounds)
 
 
 def values_message(faults: Sequence[Any]) -> str:

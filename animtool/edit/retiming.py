@@ -356,7 +356,7 @@ def time_warp(
     check_loaded(take, Take, "take")
     clock = take.clock
     key_times, values = key_arrays(curve, "curve")
-    _check_curve_range(clock, values)
+    _check_curve_range(clock, key_times, values)
     first, last = float(key_times[0]), float(key_times[-1])
     offsets_from_start = [
         exact_fraction(code, "curve") - clock.start for code in (first, last)
@@ -381,7 +381,7 @@ def time_warp(
     return _resample_at(take, result_clock, positions, source_times)
 
 
-def _check_curve_range(clock: Clock, values: FloatArray) -> None:
+def _check_curve_range(clock: Clock, key_times: FloatArray, values: FloatArray) -> None:
     """Raise if the curve shows frames that the take lacks."""
     first, last = clock.times[[0, -1]] if clock.count else np.zeros(2)
     tolerance = 1e-6 * float(clock.step)
@@ -389,6 +389,11 @@ def _check_curve_range(clock: Clock, values: FloatArray) -> None:
     if len(outside_values):
         message = f"the curve maps to frame {outside_values[0]:g}, but the take has "
         hint = None
+        last_key = float(key_times[-1])
+        ascends = bool((np.diff(values) > 0).all())
+        if ascends and first <= key_times[0] and last_key <= last <= values[-1] - 1:
+            hint = "pairs are [frame of the result, frame of the take]: are they "
+            hint += "swapped?"
         seconds = float(np.max(values))
         last_code = float(clock.start) + seconds * float(clock.fps)
         has_fractions = bool((values != np.round(values)).any())

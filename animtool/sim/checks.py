@@ -150,12 +150,21 @@ class EnergyWatch:
         return ""
 
 
+def times_problem(times: FloatArray) -> tuple[str, str | None]:
+    """Return a message and a hint for an array that is not a list of times."""
+    if not times.ndim:
+        message = f"times must be a list of times, not the number {times:g}"
+        return message, f"for a single time write [{times:g}]"
+    shape = times.shape
+    return f"times must be a list with at least one time, not of shape {shape}", None
+
+
 def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
     """Return sample times as an array; raise if they are not finite and ascending."""
     times = np.asarray(values, np.float64)
     message, hint = "", None
     if times.ndim != 1 or not len(times):
-        message = f"times must be a list of at least one, not of shape {times.shape}"
+        message, hint = times_problem(times)
     elif not np.isfinite(times).all():
         message = f"time {int(np.argmin(np.isfinite(times)))} is not finite"
     elif (np.diff(times) < 0).any():

@@ -128,6 +128,20 @@ def test_a_trim_in_seconds_is_answered_with_frames(
     assert (fault.hint or "").endswith(hint) if hint else fault.hint is None
 
 
+@pytest.mark.parametrize(
+    ("curve", "is_swapped"),
+    [([(1, 1), (5, 9), (9, 40)], True), ([(1, 1), (40, 30)], False)],
+)
+def test_pairs_of_a_curve_that_are_swapped(
+    curve: list[tuple[float, float]], is_swapped: bool
+) -> None:
+    with pytest.raises(OptionError) as caught:
+        time_warp(numbered(24), curve)
+    (fault,) = caught.value.faults
+    assert fault.code == "SCN013"
+    assert (fault.hint or "").endswith("swapped?") is is_swapped
+
+
 def test_fractions_of_frames_that_the_take_has_are_frames() -> None:
     take = numbered(24)
     assert trim(take, 1.5, 3.5).clock.count == 2

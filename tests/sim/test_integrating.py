@@ -384,6 +384,13 @@ def test_times_that_are_refused(times: list[float]) -> None:
     assert refused(oscillator().system, times) == ["SIM002"]
 
 
+def test_a_single_time_is_refused_with_the_list_to_write() -> None:
+    with pytest.raises(OptionError) as error:
+        integrate(oscillator().system, 24)  # type: ignore[arg-type]
+    (fault,) = error.value.faults
+    assert (fault.code, (fault.hint or "").split()[-1]) == ("SIM002", "[24]")
+
+
 def test_what_is_attached_is_at_its_own_time() -> None:
     system = oscillator().system
     checkpoint = integrate(system, [0, 1]).checkpoint

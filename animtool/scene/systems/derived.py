@@ -411,12 +411,14 @@ def read_spec(
     stated_values = spec.model_dump(exclude_unset=True, by_alias=True)
     warn_of_forces(document, location, stated_values, units.length, shape_volume)
     warn_of_rotations(document, location, stated_values)
-    warn_of_agents_and_atoms(document, location, stated_values)
+    warn_of_agents_and_atoms(document, location, stated_values, units.length)
     if units.angle == 1.0:
         warn_of_radians(document, location, stated_values)
     record, faults = spec.build_record(entries)
     for fault in faults:
         key_location = (*location, *parse_location(fault.where or ""))
+        if fault.where and document.has_placeholder_below(key_location):
+            continue  # a value of it is faulty
         document.add(fault.code, key_location, fault.message, fault.hint)
     if record_reader.is_valid:
         record_reader.record_entry_faults(location, spec, spec.faults(entries))

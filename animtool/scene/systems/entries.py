@@ -19,7 +19,7 @@ from animtool.documents.check import (
     record_from_options,
     unknown_option_faults,
 )
-from animtool.documents.document import Document, Location
+from animtool.documents.document import Document, Location, parse_location
 from animtool.documents.fields import MAX_NUMBER, record_from_model
 from animtool.documents.model_faults import LocatedFaults
 from animtool.documents.references import (
@@ -127,10 +127,10 @@ class EntryReader:
     def record_entry_faults(
         self, location: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
-        """Record faults of an entry, each at its key if that is present."""
+        """Record faults of an entry, each at its key or the nearest one present."""
         for fault in faults:
-            key = (fault.where,) if fault.where in model.model_fields_set else ()
-            self.record_fault((*location, *key), fault)
+            key_location = _present_location(model, parse_location(fault.where or ""))
+            self.record_fault((*location, *key_location), fault)
 
     def read_each(
         self,
@@ -224,6 +224,9 @@ class EntryReader:
             elif pose_key == "turns" and not rows[:, 1:].any(axis=1).all():
                 messages[pose_key] = "a quaternion must not be all 0"
         for pose_key, message in messages.items():
+            if self.document.has_placeholder_below((*location, pose_key)):
+                self.is_valid = False
+                continue  # its rows are faulty
             self.record_fault((*location, pose_key), Fault(code, message))
         return None if messages else keyed_poses(model, entry_poses)
 
@@ -426,3 +429,16 @@ def _array_fault(values: npt.NDArray[np.float64]) -> str | None:
     if np.abs(values).max(initial=0.0) > MAX_NUMBER:
         return f"contains a value beyond {MAX_NUMBER:g}"
     return None
+
+
+def _present_location(model: FileModel, location: Location) -> Location:
+    """Return the longest beginning of a location that is present in a model."""
+    value: Any = model
+    for i, step in enumerate(location):
+        if isinstance(value, FileModel) and step in value.model_fields_set:
+            value = getattr(value, str(step))
+        elif isinstance(value, list) and isinstance(step, int) and step < len(value):
+            value = value[step]
+        else:
+            return location[:i]
+    return location

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import field
+from dataclasses import field, replace
 from itertools import chain
+from pathlib import Path
 from typing import Any, cast
 
 from animtool.core.errors import (
@@ -14,6 +15,7 @@ from animtool.core.errors import (
     FormatError,
     OptionError,
     ToleranceError,
+    excerpt,
 )
 from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
@@ -117,6 +119,18 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     """Restore the state that a system resumes into a run (SIM035)."""
     path = member.setup.resume
     assert path is not None
+    try:
+        _restore_state(run, member, path)
+    except (FormatError, OptionError) as error:
+        faults = [
+            _at_resume(fault, path.name) if fault.path == str(path) else fault
+            for fault in error.faults
+        ]
+        raise FormatError(list(map(member.location.locate, faults))) from error
+
+
+def _restore_state(run: SimulationRun, member: SceneSystem, path: Path) -> None:
+    """Restore the state in a file into a run; raise SIM035 if they do not match."""
     with open_states(path) as saved_states:
         run.state = saved_states.read("", state_clock(member, run), run.state)
     if isinstance(run.simulation, ChecksResumedState):
@@ -125,6 +139,13 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
         if reason:
             message = f"its state does not match: {reason}"
             raise OptionError(Fault("SIM035", message, str(path)))
+
+
+def _at_resume(fault: Fault, name: str) -> Fault:
+    """Return a fault of a file of states as one of the key that names it."""
+    separator = " " if fault.message.startswith("is ") else ": "
+    message = f"{excerpt(name)}{separator}{fault.message}"
+    return replace(fault, path=None, message=message, where="resume")
 
 
 def state_clock(member: SceneSystem, run: SimulationRun) -> StateClock:

@@ -43,6 +43,8 @@ MAX_FRICTION = 5.0
 GRAMS_PER_KILOGRAM = 1000.0
 # Shoulders of an elephant, and a tall giraffe with room to spare [m].
 MAX_AGENT_RADIUS, MAX_AGENT_HEIGHT = 3.0, 10.0
+# Of people, in metres and metres per second.
+PERSON_HEIGHTS, PERSON_RADII, PERSON_SPEEDS = (0.9, 2.3), (0.12, 0.5), (0.3, 4.0)
 # Ions have whole numbers of e, atoms of molecules hundredths; coulombs are below 1e-17.
 ELEMENTARY_CHARGE, MAX_COULOMBS = 1.602176634e-19, 1e-12
 # Pitch has 2e5, but hardly flows; lava has up to 10, and water 1e-6 [m²/s].
@@ -223,11 +225,17 @@ def _warn_of_body(
 
 
 def warn_of_agents_and_atoms(
-    document: Document, location: Location, values: Mapping[str, Any]
+    document: Document, location: Location, values: Mapping[str, Any], unit: float = 1.0
 ) -> None:
-    """Warn of agents in centimetres and of charges in coulombs (SIM200)."""
+    """Warn of agents in centimetres or metres and of charges in coulombs (SIM200).
+
+    ``values`` are in metres; ``unit`` is the length unit of the scene [m].
+    """
     for i, population in enumerate(values.get("populations") or ()):
-        _warn_of_agent_size(document, (*location, "populations", i), population)
+        population_location = (*location, "populations", i)
+        _warn_of_agent_size(document, population_location, population)
+        if unit < 1:
+            _warn_of_agent_metres(document, population_location, population, unit)
     for i, species in enumerate(values.get("species") or ()):
         _warn_of_charge(document, (*location, "species", i), species)
 
@@ -244,6 +252,34 @@ def _warn_of_agent_size(
             hint = f"for {length:g} cm write {length / 100:g}"
             document.warn("SIM200", (*location, key), message, hint)
             return
+
+
+def _warn_of_agent_metres(
+    document: Document, location: Location, population: Mapping[str, Any], unit: float
+) -> None:
+    """Warn of people in metres in a scene with a smaller unit (SIM200)."""
+    speed = population.get("speed") or {}
+    numbers = {
+        ("height",): (population.get("height"), PERSON_HEIGHTS),
+        ("radius",): (population.get("radius"), PERSON_RADII),
+        ("speed", "mean"): (speed.get("mean"), PERSON_SPEEDS),
+    }
+    wrong_numbers = {}
+    for keys, (value, (low, high)) in numbers.items():
+        if not isinstance(value, int | float) or low <= value <= high:
+            continue
+        if not low <= value / unit <= high:
+            return  # a small animal
+        wrong_numbers[keys] = value / unit
+    for keys, number in wrong_numbers.items():
+        key = ".".join(keys)
+        speed_text = " a second" if keys[0] == "speed" else ""
+        message = f"{key} {number:g} is {length_text(number * unit)}{speed_text}, as "
+        message += "the scene declares a smaller units.length"
+        hint = f"for {number:g} m{'/s' if speed_text else ''} write "
+        hint += plain_number(number / unit)
+        document.warn("SIM200", (*location, *keys), message, hint)
+        return
 
 
 def _warn_of_charge(

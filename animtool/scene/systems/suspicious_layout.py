@@ -210,7 +210,12 @@ def _warn_of_planes(
             message = f"the normal of {name} points down: everything above the plane "
             message += f"is inside it, such as {start.label}"
             key_location = (*location, key, c, "shape", "plane", "normal")
-            document.warn("SIM202", key_location, message, "write normal: [0, 1, 0]")
+            hint = "write normal: [0, 1, 0]"
+            if collider.shape.normal[1] > 0:
+                message = f"{name} is upside down, as its rotate turns its normal: "
+                message += f"everything above it is inside it, such as {start.label}"
+                key_location, hint = (*location, key, c, "rotate"), "remove rotate"
+            document.warn("SIM202", key_location, message, hint)
             return
         side = "outside" if collider.container else "inside"
         if normal[1] > 0.99 * np.linalg.norm(normal):

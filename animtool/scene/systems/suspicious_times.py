@@ -13,8 +13,10 @@ from animtool.documents.document import Document, Location
 MIN_SUSPICIOUS_SECONDS = 20.0
 # Fewer steps a second are not meant by a step of so many seconds [s].
 MIN_STEPS = 10.0
+# From so many picoseconds a second on, times may be picoseconds [ps/s].
+MIN_PACE = 2.0
 # Lists of rows that begin with a time, and keys of a time at which something begins.
-TIMED_ROW_KEYS = {"moves", "turns", "gusts", "bursts"}
+TIMED_ROW_KEYS = {"moves", "turns", "gusts", "bursts", "temperatures"}
 START_KEYS = {"start", "release", "opens", "bursts"}
 # Rows in frames reach at least this fraction of the scene's frames; fewer may be the
 # seconds of a longer scene of which only the beginning is written.
@@ -62,6 +64,8 @@ def warn_of_times(
         _warn_of_step(document, location, values.get("step"), times)
     if times.frames is None:
         return
+    if _warn_of_picoseconds(document, location, values, times):
+        return
     end_text = f"but the scene ends at {times.length:.3g} s"
     for key_location, key, value in stated_keys(location, values):
         rows = value if isinstance(value, list | tuple) else []
@@ -81,6 +85,28 @@ def warn_of_times(
                 "SIM200", (*key_location, row), message, times.hint(starts[row])
             )
             return
+
+
+def _warn_of_picoseconds(
+    document: Document, location: Location, values: Mapping[str, Any], times: SceneTimes
+) -> bool:
+    """Warn of rows of a thermostat that seem to be in picoseconds (SIM200)."""
+    rows = (values.get("thermostat") or {}).get("temperatures") or ()
+    last, pace = max((row[0] for row in rows), default=0.0), values.get("pace") or 1.0
+    seconds = last / pace
+    # At a low pace the rows may be the seconds of a longer scene.
+    if pace < MIN_PACE or last < pace or not times.length < last:
+        return False
+    if seconds < MIN_LAST_FRACTION * times.length:
+        return False
+    message = f"the last row of temperatures is at {last:g} s, but the scene ends at "
+    message += f"{times.length:.3g} s"
+    hint = f"times are in seconds from the first frame: {last:g} ps is "
+    hint += f"{plain_number(seconds)} s at a pace of {pace:g} ps/s"
+    row = [row[0] for row in rows].index(last)
+    row_location = (*location, "thermostat", "temperatures", row)
+    document.warn("SIM200", row_location, message, hint)
+    return True
 
 
 def _warn_of_step(

@@ -21,6 +21,7 @@ from animtool.core.errors import (
     refuse_all,
     warning,
 )
+from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.maths.rows import Rows
 from animtool.systems.crowds.ground import GroundFrame
@@ -134,10 +135,22 @@ def _separate_at_start(
         message += f"apart by up to {distances.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
     if overlap > OVERLAP_TOLERANCE * radius:
-        message = "agents start inside each other: too many for their region"
-        hint = "use a larger region, or fewer agents"
-        faults.append(warning("SIM147", message, hint))
+        faults.append(_crowded_warning(agents, distances))
     return replace(agents, start_points=points), faults
+
+
+def _crowded_warning(agents: Agents, distances: FloatArray) -> Fault:
+    """Return a warning of the population that is too many for its region (SIM147).
+
+    ``distances`` are those by which agents are moved apart ``(N,)`` [m].
+    """
+    k = int(agents.entry_indices[np.argmax(distances)])
+    count = int((agents.entry_indices == k).sum())
+    message = f"{counted(count, 'agent')} of {agents.entries[k].name!r} are too many "
+    message += "for their region: they would start inside each other, and are moved "
+    message += f"apart by up to {length_text(float(distances.max()))}"
+    hint = "use a larger region, or fewer agents"
+    return warning("SIM147", message, hint, f"populations[{k}].count")
 
 
 def separate_agents(
@@ -244,14 +257,18 @@ def _key_problems(spec: CrowdsModel) -> Iterator[Problem]:
     )
     for k, population in enumerate(spec.populations):
         location = f"populations[{k}]"
-        for name in population.route:
+        for i, name in enumerate(population.route):
             if name not in goals:
                 known_goals = f"the goals are {', '.join(goals)}"
                 hint = known_goals if goals else "add it to goals"
-                yield f"unknown goal {excerpt(name)}", location, hint
+                message = f"unknown goal {excerpt(name)}"
+                if any(door.name == name for door in spec.doors):
+                    message = f"{excerpt(name)} is a door, not a goal"
+                    hint = "remove it: agents go through doors on their way"
+                yield message, f"{location}.route[{i}]", hint
         if population.then == "repeat" and len(set(population.route)) == 1:
             message = f"the route of {population.name!r} repeats one goal"
-            yield message, location, "then: stay"
+            yield message, f"{location}.then", "then: stay"
     for key in ("shows", "gaits"):
         has_key = [getattr(entry, key) is not None for entry in spec.populations]
         if any(has_key) and not all(has_key):

@@ -19,7 +19,7 @@ from animtool.core.errors import (
     refuse,
     warning,
 )
-from animtool.core.quantities import vector_text
+from animtool.core.quantities import length_text, vector_text
 from animtool.core.record import dataclass
 from animtool.sim.colliders import Colliders
 from animtool.systems.flocks.spec import DomainModel, FlocksModel, SpeciesModel
@@ -176,10 +176,12 @@ class Members(Groups):
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
         if overlap > MIN_REPORTED_MOVE * float(self.radii.max()):
-            message = f"members start {overlap:.3g} m closer to each other than "
-            message += "allowed: too many for their region"
+            k = int(self.entry_indices[np.argmax(displacements)])
+            message = f"members of {self.entries[k].name!r} start "
+            message += f"{length_text(overlap)} closer to each other than allowed: too "
+            message += "many for their region"
             hint = "use a larger region, fewer members, or a smaller repulsion.least"
-            faults.append(warning("SIM147", message, hint))
+            faults.append(warning("SIM147", message, hint, f"species[{k}].count"))
         return faults
 
 
@@ -234,11 +236,14 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
     yield from duplicate_names("species", names)
     for k, species in enumerate(spec.species):
         location = f"species[{k}]"
-        relations = [*species.flees, *species.chases]
-        for name in [*species.joins, *(relation.species for relation in relations)]:
+        named_species = [(f"joins[{i}]", name) for i, name in enumerate(species.joins)]
+        for key, relations in (("flees", species.flees), ("chases", species.chases)):
+            for i, relation in enumerate(relations):
+                named_species.append((f"{key}[{i}].species", relation.species))
+        for key, name in named_species:
             if name not in names:
                 hint = f"the species are {', '.join(names)}"
-                yield f"unknown species {excerpt(name)}", location, hint
+                yield f"unknown species {excerpt(name)}", f"{location}.{key}", hint
         yield from _speed_problems(species, location)
     has_mesh = [species.shows is not None for species in spec.species]
     if any(has_mesh) and not all(has_mesh):

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, RefusalCollector, counted, refuse, warning
-from animtool.core.quantities import floor_to_two_digits, plain_number
+from animtool.core.quantities import floor_to_two_digits, length_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Capsule, Collider, Colliders, Plane, Poses, Sphere
@@ -74,9 +74,29 @@ def coarse_drop_warnings(
         message = f"{name} has a radius of {radius:.3g} m, {radius_in_spacings:.2g} "
         message += "spacings: below "
         message += f"{RESOLVED_RADIUS:g}, surface tension may be off by a tenth or more"
-        hint = f"spacing: {plain_number(floor_to_two_digits(radius / RESOLVED_RADIUS))}"
+        resolved_spacing = floor_to_two_digits(radius / RESOLVED_RADIUS)
+        hint = f"use a spacing of {length_text(resolved_spacing)}"
         yield warning("SIM175", message, hint, "spacing")
         return
+
+
+def thin_fill_warnings(
+    spec: FluidModel, fill_data: Sequence[Mapping[str, Any]]
+) -> Iterator[Fault]:
+    """Yield a warning about the first fill thinner than the spacing (SIM204)."""
+    for i, data in enumerate(fill_data):
+        if data.get("shape") is None:
+            continue
+        sides = np.diff(shape_bounds(data["shape"]), axis=0)[0]
+        side, spacing_text = float(sides.min()), length_text(spec.spacing)
+        if side < (1 - RELATIVE_ROUNDING) * spec.spacing:
+            message = f"{_fill_label(spec, i)} is {length_text(side)} thick, less than "
+            message += f"the spacing of particles, {spacing_text}: its particles stand "
+            message += "for more fluid than it has"
+            half = floor_to_two_digits(side / 2)
+            hint = f"use a spacing of {length_text(half)}, or a larger fill"
+            yield warning("SIM204", message, hint, f"fills[{i}].shape")
+            return
 
 
 def _fill_motion(
@@ -193,12 +213,15 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
 def _check_count(spec: FluidModel, count: float, key: str) -> None:
     """Raise SIM064 if the number of particles exceeds the limit."""
     if count > spec.max_particles:
-        message = f"it needs {count:,.0f} particles at a spacing of {spec.spacing:g} "
-        message += f"m, but the limit is {spec.max_particles:,}"
+        message = f"{key} need {count:,.0f} particles at a spacing of "
+        message += f"{length_text(spec.spacing)}, but the limit is "
+        message += f"{spec.max_particles:,}"
         min_spacing = spec.spacing * (count / spec.max_particles) ** (1 / 3)
-        hint = f"spacing: {math.ceil(min_spacing * 1e3) / 1e3:g}, or raise "
+        unit = 10.0 ** (math.floor(math.log10(min_spacing)) - 2)
+        min_spacing = math.ceil(min_spacing / unit - RELATIVE_ROUNDING) * unit
+        hint = f"use a spacing of {length_text(min_spacing)} or more, or raise "
         hint += "max_particles"
-        refuse("SIM064", message, key, hint)
+        refuse("SIM064", message, "spacing", hint)
 
 
 def _lattice_points(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:

@@ -27,6 +27,7 @@ from animtool.systems.fluid.filling import (
     coarse_drop_warnings,
     find_clear_points,
     initial_fluid,
+    thin_fill_warnings,
 )
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
@@ -82,6 +83,7 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
         Nozzle(spec, emitter, part["poses"], begin) for emitter, part in emitters
     ]
     notices = colliders.notices()
+    notices += thin_fill_warnings(spec, entry_data.get("fills", ()))
     notices += coarse_drop_warnings(spec, entry_data.get("fills", ()))
     if spec.surface is not None:
         from animtool.systems.fluid.surface import check_surface

@@ -100,7 +100,9 @@ class SavedStates:
         kind = archives.text(path, f"{prefix}kind")
         if kind != expected_clock.kind:
             expected_kind = expected_clock.kind
-            raise mismatch(f"it contains a state of {kind}, not of {expected_kind}")
+            message = f"the state is of a system of {kind}, not of {expected_kind}"
+            hint = f"name a file that a system of {expected_kind} saves"
+            raise mismatch(message, hint)
         saved_clock = archives.load(path, f"{prefix}clock")
         clock_problem = _clock_problem(saved_clock, expected_clock)
         if clock_problem:
@@ -172,6 +174,9 @@ def _array_problem(
     if axis is not None and values.ndim == expected_array.ndim:
         shape[axis] = values.shape[axis]
     if values.shape != (*shape,) or values.dtype.kind != expected_array.dtype.kind:
+        if values.dtype.kind == expected_array.dtype.kind:
+            text = f"has shape {values.shape}, but the scene needs {(*shape,)}: it was "
+            return f"{text}saved with other counts"
         text = f"is {values.dtype} of shape {values.shape}, but in the scene "
         return f"{text}{expected_array.dtype} of shape {expected_array.shape}"
     # Particles without a lifetime have an infinite time of death.

@@ -37,6 +37,7 @@ MAX_METRES = 1e-5
 # The unit of atomic masses [kg]; an electron has 5.5e-4 of it [u].
 ATOMIC_MASS, MIN_MASS = 1.66053907e-27, 5e-4
 MAX_ATOM_SIZE = 1.5  # atoms and united atoms are below 0.7 [nm]
+NANOMETRES_PER_ANGSTROM, NANOMETRES_PER_PICOMETRE = 0.1, 1e-3
 
 
 class AtomsModel(FileModel):
@@ -178,12 +179,20 @@ class MoleculesModel(PlacementModel, SystemSpec):
             hint = f"lengths of molecules are in nm: write [{numbers}]"
         elif self.cutoff is None and sigma > MAX_ATOM_SIZE:
             message += f", 5 times sigma, {sigma:g} nm"
-            hint = f"for {sigma:g} ångström write sigma: {plain_number(sigma / 10, 4)}"
+            unit, factor = "ångström", NANOMETRES_PER_ANGSTROM
+            if sigma * factor > MAX_ATOM_SIZE:
+                unit, factor = "pm", NANOMETRES_PER_PICOMETRE
+            hint = f"for {sigma:g} {unit} write sigma: "
+            hint += plain_number(sigma * factor, 4)
+            if sigma * factor > MAX_ATOM_SIZE:
+                hint = "lengths of molecules are in nm: atoms are about 0.3 nm wide"
+            k = [species.sigma for species in self.species].index(sigma)
+            return message, f"species[{k}].sigma", hint
         return message, "box", hint
 
     def problems(self) -> Iterator[Problem]:
         """Yield conflicts between box, cut-off, lattice and thermostat."""
-        for species in self.species:
+        for k, species in enumerate(self.species):
             if species.mass < MIN_MASS:
                 mass = plain_number(species.mass / ATOMIC_MASS, 4)
                 message = (
@@ -191,7 +200,7 @@ class MoleculesModel(PlacementModel, SystemSpec):
                 )
                 message += "an electron"
                 hint = f"masses are in u: for {species.mass:g} kg write {mass}"
-                yield message, "species", hint
+                yield message, f"species[{k}].mass", hint
         min_side, reach = min(self.box), self.cutoff_distance
         if min_side < 2 * reach:
             yield self._box_problem(min_side, reach)

@@ -9,6 +9,7 @@ from annotated_types import Ge, Gt, Le, Lt
 
 from animtool.core.errors import Problem
 from animtool.core.options import key
+from animtool.core.quantities import length_text
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Count,
@@ -215,11 +216,23 @@ class NbodyModel(SystemSpec):
         if orbit is None:
             return
         if count != 2:
-            message = f"an encounter needs two galaxies, but there are {count}"
-            yield message, "encounter", None
+            message = f"an encounter needs two galaxies, not {count or 'none'}"
+            hint = "add a second galaxy, or remove encounter"
+            if count > 2:
+                hint = "keep two galaxies in this system, or remove encounter"
+            yield message, "encounter", hint
         e, pericentre = orbit.eccentricity, orbit.pericentre
         apocentre = pericentre * (1 + e) / (1 - e) if e < 1 else float("inf")
-        if not pericentre <= orbit.separation <= apocentre:
-            message = f"the separation is {orbit.separation:g} m, and on this orbit it "
-            message += f"is from {pericentre:g} to {apocentre:g} m"
-            yield message, "encounter", None
+        separation_text = f"the separation, {length_text(orbit.separation)}, is "
+        nearest, farthest = length_text(pericentre), length_text(apocentre)
+        if orbit.separation < pericentre:
+            message = f"{separation_text}below the pericentre, {nearest}, the smallest "
+            hint = f"write a separation of {nearest} or more"
+            hint += ", or exchange separation and pericentre"
+            yield f"{message}distance on this orbit", "encounter.separation", hint
+        elif orbit.separation > apocentre:
+            message = f"{separation_text}beyond {farthest}, the largest distance on an "
+            message += f"orbit of eccentricity {e:g}"
+            hint = f"write a separation from {nearest} to {farthest}, or "
+            hint += "eccentricity: 1"
+            yield message, "encounter.separation", hint

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.options import CheckedRecord, inherits_docs
-from animtool.core.quantities import angle_text
+from animtool.core.quantities import angle_text, plain_number
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.collider import Poses
@@ -195,6 +195,10 @@ class Emitter(Emission, CheckedRecord):
         if not 0 <= self.spread <= math.pi:
             degrees = math.degrees(self.spread)
             message = f"its spread must be from 0 to 180°, not {angle_text(degrees)}"
+            if self.spread % 1 == 0 and 0 < self.spread <= math.degrees(math.pi):
+                radians = plain_number(math.radians(self.spread))
+                message = f"its spread, {self.spread:g} radians, must be from 0 to pi; "
+                message += f"for {self.spread:g}° write {radians}"
             problems.append(("spread", message))
         if self.radius_spread >= self.radius > 0:
             message = "its radius_spread must be below its radius"

@@ -16,6 +16,7 @@ from animtool.core.errors import (
     Fault,
     OptionError,
     RefusalCollector,
+    counted,
     refuse,
     refuse_all,
 )
@@ -335,7 +336,16 @@ class RigidBodies:
 
 def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
     """Raise SIM061 for an unknown body name."""
+    numbers = [
+        int(number[:-1])
+        for other_name, _, number in (known.rpartition("[") for known in names)
+        if other_name == name and number[:-1].isdigit()
+    ]
     hint = name_hint(name, names) or ""
+    if numbers:
+        hint = f"{name!r} has {counted(len(numbers), 'copy', 'copies')}: write "
+        hint += f"'{name}[0]'"
+        hint += f" to '{name}[{max(numbers)}]'" if len(numbers) > 1 else ""
     refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 

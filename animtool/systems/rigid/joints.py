@@ -11,6 +11,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, RefusalCollector, refuse, warning
+from animtool.core.quantities import vector_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders import Poses
@@ -401,6 +402,7 @@ def _distance_warnings(
     if distance <= MAX_DISTANCE_RADII * kind.bounding_radius:
         return []
     message = f"{name} is {distance:g} m from {bodies.names[body]!r}, which extends "
-    hint = "is its `where` in world space?"
+    hint = f"is its `at` in world space? {bodies.names[body]!r} is at "
+    hint += vector_text(pose[:3])
     message += f"{kind.bounding_radius:g} m from its centre of mass"
     return [warning("SIM127", message, hint, f"{location}.at")]

@@ -15,9 +15,13 @@ from animtool.core.errors import (
     warning,
 )
 from animtool.core.options import range_faults
+from animtool.core.quantities import floor_to_two_digits, length_text, plain_number
+from animtool.sim.checks import times_problem
 from animtool.systems.springs.body import Body, Springs
 from animtool.systems.springs.records import SelfContact, Solver, SpringOptions
 
+# Thickness of self-contact relative to edges from which it stiffens folds.
+MAX_THICKNESS_RATIO = 2.0
 # Most particles or springs named for one kind of fault.
 MAX_NAMED = 5
 
@@ -66,9 +70,9 @@ def check_path(
     if times is None and path.shape == (count, 3):
         path = path[None]
     shape = (*knots.shape, count, 3)
-    message = ""
+    message, hint = "", None
     if knots.ndim != 1 or not len(knots):
-        message = f"times must be a list of at least one, not of shape {knots.shape}"
+        message, hint = times_problem(knots)
     elif path.shape != shape:
         message = f"positions must have shape {shape}, not {path.shape}"
     elif not np.isfinite(knots).all() or (np.diff(knots) <= 0).any():
@@ -77,7 +81,7 @@ def check_path(
         row_index = int(np.argmin(np.isfinite(path).all(axis=(1, 2))))
         message = f"positions at {knots[row_index]:g} s are not finite"
     if message:
-        refuse("SIM044", message, name)
+        refuse("SIM044", message, name, hint)
     return knots, path
 
 
@@ -176,6 +180,21 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
         elif not np.isfinite(rest).all():
             messages.append("rest must be finite")
     refuse_all("SIM045", [(message, "self_contact", None) for message in messages])
+
+
+def thickness_notices(contact: SelfContact, body: Body) -> list[Fault]:
+    """Return a warning if self-contact is thicker than most edges (SIM205)."""
+    corners = body.positions[body.triangles]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    edge = float(np.median(edges)) if edges.size else 0.0
+    if not 0 < edge * MAX_THICKNESS_RATIO < contact.thickness:
+        return []
+    message = f"the thickness of self-contact, {length_text(contact.thickness)}, is "
+    message += f"{plain_number(contact.thickness / edge, 2)} times the edge length, "
+    message += f"{length_text(edge)}: folds cannot be that close"
+    hint = f"use a thickness of {length_text(floor_to_two_digits(edge / 2))}, half an "
+    hint += "edge"
+    return [warning("SIM205", message, hint, "self_contact.thickness")]
 
 
 def tangle_notices(

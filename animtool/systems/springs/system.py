@@ -36,6 +36,7 @@ from animtool.systems.springs.checks import (
     check_self_contact,
     start_notices,
     tangle_notices,
+    thickness_notices,
 )
 from animtool.systems.springs.constraints import (
     Pins,
@@ -515,6 +516,7 @@ class SpringSystem(SecondOrder):
         """Return warnings about the initial state and teleports."""
         notices = start_notices(self.body) + self.colliders.notices()
         if self.self_contact is not None:
+            notices += thickness_notices(self.self_contact, self.body)
             notices += tangle_notices(self.body.positions, self.body.triangles)
         return notices + self.teleports.notices()
 

@@ -132,7 +132,7 @@ def other(path: Path, **changes: Any) -> None:
 
 CHANGES = {
     "no state": ({"format": None}, "is not a file of saved states"),
-    "another kind": ({"kind": np.array("rope")}, "a state of rope"),
+    "another kind": ({"kind": np.array("rope")}, "flocks.resume"),
     "another step": ({"clock": np.array([-0.1, 0.02, 9])}, "steps of 0.02 s"),
     "another pre-roll": ({"clock": np.array([0.0, 0.01, 9])}, "start at 0 s"),
     "half a step": ({"clock": np.array([-0.1, 0.01, 9.5])}, "clock"),
@@ -308,4 +308,5 @@ def test_a_state_whose_attitudes_are_no_rotations_is_refused(
     other(path, **{"state/motion": motion})
     with raises(FormatError, "SIM035") as error:
         open_systems(Simulator(tmp_path).scene(resumed).systems, 0.5)
-    assert error.value.faults[0].path == str(path)
+    assert str(error.value.faults[0].where).endswith("rigid.resume")
+    assert path.name in error.value.faults[0].message

@@ -146,6 +146,21 @@ TUG = """\
 
 
 @pytest.mark.parametrize("systems", [LIFT, TUG])
+def test_rows_without_their_times(tmp_path: Path, systems: str) -> None:
+    faults = notices(tmp_path, systems.replace("ROWS", "[[0, 0, 0], [0, 2, 0]]"))
+    assert [fault.code for fault in faults] == ["DOC022"] * 2
+    assert all("[seconds, x, y, z]" in (fault.hint or "") for fault in faults)
+
+
+def test_planets_in_kilograms(tmp_path: Path) -> None:
+    systems = "- nbody:\n    name: a\n    bodies: [{name: sun, mass: 1.989e30}]\n"
+    faults = notices(tmp_path, systems)
+    assert [fault.code for fault in faults] == ["DOC021", "DOC020", "DOC022"]
+    assert "write it there" not in str(faults[1])
+    assert "gravity_constant" in (faults[2].hint or "")
+
+
+@pytest.mark.parametrize("systems", [LIFT, TUG])
 @pytest.mark.parametrize(
     ("rows", "found"),
     [
@@ -329,6 +344,40 @@ def test_gravity_of_metres_in_a_scene_in_centimetres(tmp_path: Path) -> None:
     assert codes(tmp_path, weak, head) == ["SIM200"]
     assert codes(tmp_path, weak.replace("9.81", "981"), head) == []
     assert codes(tmp_path, PARTICLES.replace("FORCE", "gravity: "), head) == []
+
+
+@pytest.mark.parametrize(
+    ("keys", "key"),
+    [
+        ("radius: 0.3, height: 1.8", "height"),
+        ("radius: 0.3, height: 180", "radius"),
+        ("radius: 30, height: 180, speed: {mean: 1.3}", "speed.mean"),
+        ("radius: 30, height: 180, speed: {mean: 130}", None),
+        ("radius: 4, height: 2, speed: {mean: 9}", None),  # beetles
+    ],
+)
+def test_people_of_metres_in_a_scene_in_centimetres(
+    tmp_path: Path, keys: str, key: str | None
+) -> None:
+    systems = PEOPLE.replace("radius: 0.3, height: 1.8", keys)
+    warnings = notices(tmp_path, systems, "units: {length: cm}\n")
+    assert [warning.code for warning in warnings] == ["SIM200"] * bool(key)
+    assert not key or str(warnings[0].where).endswith(f"populations[0].{key}")
+
+
+@pytest.mark.parametrize(
+    ("keys", "found"),
+    [
+        ("pace: 8, thermostat: {temperatures: [[0, 20], [16, 160]]}", True),
+        ("pace: 8, thermostat: {temperatures: [[0, 20], [2, 160]]}", False),
+        ("pace: 1, thermostat: {temperatures: [[0, 20], [16.5, 160]]}", False),
+        ("pace: 1, thermostat: {temperatures: [[0, 20], [48, 160]]}", True),
+    ],
+)
+def test_times_of_a_thermostat(tmp_path: Path, keys: str, found: bool) -> None:
+    system = "- molecules: {name: a, box: [2.3, 2.3, 2.3], step: 0.00125, "
+    system += f"species: [{{name: argon, count: 108}}], {keys}}}\n"
+    assert [fault.code for fault in notices(tmp_path, system)] == ["SIM200"] * found
 
 
 def test_a_cable_may_be_long(tmp_path: Path) -> None:

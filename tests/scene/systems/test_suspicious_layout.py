@@ -133,6 +133,10 @@ def test_a_plane_that_points_down(tmp_path: Path) -> None:
         said = notices(tmp_path, SPARKS.replace("OTHERS", others))
         assert [one.code for one in said] == ["SIM202"] * found
         assert not found or said[0].hint == "write normal: [0, 1, 0]"
+    rotated = "colliders: [{shape: {plane: }, rotate: [0, 1, 0, 0]}]"
+    (warning,) = notices(tmp_path, SPARKS.replace("OTHERS", rotated))
+    assert (warning.code, warning.hint) == ("SIM202", "remove rotate")
+    assert str(warning.where).endswith("colliders[0].rotate")
     container = down.replace("HEIGHT", "0").replace("{shape", "{container: true, shape")
     assert notices(tmp_path, SPARKS.replace("OTHERS", container)) == []
 

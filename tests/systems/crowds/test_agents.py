@@ -92,7 +92,7 @@ def test_keys_that_do_not_fit_are_told_with_their_place() -> None:
     )  # fmt: skip
     found = [(message, where) for message, where, _ in _key_problems(spec)]  # type: ignore[arg-type]
     assert [where for _, where in found] == [
-        "goals[1]", "populations[1]", "populations[0]", "populations[1]",
+        "goals[1]", "populations[1]", "populations[0].route[0]", "populations[1].then",
         "populations", "doors[0]",
     ]  # fmt: skip
     assert "'r' does not" in found[4][0]

@@ -414,8 +414,22 @@ def test_what_makes_no_sense_is_refused(
 
 
 def test_routes_lead_to_known_goals(simulator: Simulator) -> None:
-    with raises(AnimtoolError, "SIM145", match="'no'"):
+    with raises(AnimtoolError, "SIM145", match=r"\.route\[0\]: .*'no'"):
         simulator.simulate(crowd([{"count": 1, "route": ["no"]}]), [0.0])
+
+
+def test_the_population_that_does_not_fit_is_named(simulator: Simulator) -> None:
+    region = {"place": {"disc": {"radius": 1}}, "route": ["g"]}
+    few, many = {**region, "count": 2, "at": [50, 0, 0]}, {**region, "count": 200}
+    people = crowd([few, many], goals=[goal("g", 9, 0)])
+    assert "'p1'" in notices(simulator, people)["SIM147"]
+
+
+def test_a_route_leads_through_no_door(simulator: Simulator) -> None:
+    goals, doors = [goal("g", 0, 0)], [{**door([1, 0, 0]), "name": "gate"}]
+    people = crowd([{"count": 1, "route": ["g", "gate"]}], goals=goals, doors=doors)
+    with raises(AnimtoolError, "SIM145", match=r"\.route\[1\]: 'gate' is a door"):
+        simulator.simulate(people, [0.0])
 
 
 def test_a_run_goes_on_from_its_state(simulator: Simulator) -> None:

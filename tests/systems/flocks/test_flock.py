@@ -270,10 +270,10 @@ FAULTS = {
     "one position": (
         flock({**BIRD, "place": {"point": None}}), "SIM060", "the same position"
     ),
-    "no such species": (flock({**BIRD, "joins": ["brid"]}), "SIM060", "'brid'"),
+    "no such species": (flock({**BIRD, "joins": ["brid"]}), "SIM060", "joins[0]"),
     "no such prey": (
         flock({**BIRD, "chases": [{"species": "x", "weight": 1, "radius": 1}]}),
-        "SIM060", "'x'",
+        "SIM060", "species[0].chases[0].species",
     ),
     "two of a name": (flock(BIRD, BIRD), "SIM060", "'bird'"),
     "a cruise that is too fast": (

@@ -218,7 +218,8 @@ def test_who_is_moved_apart_is_named_where_a_file_gave_the_place() -> None:
             assert "member 2 of 's' first: moved apart by up to 0.15 m" in fault.message
         (crowded,) = own.separation_notices(rows, 0.05)
         assert (crowded.code, crowded.severity) == ("SIM147", Severity.WARNING)
-        assert "0.05 m closer" in crowded.message
+        assert "50 mm closer" in crowded.message
+        assert crowded.where == "species[0].count"
 
 
 def test_limits_of_turning_and_acceleration() -> None:

@@ -124,12 +124,12 @@ def test_as_many_as_are_allowed_are() -> None:
     with pytest.raises(AnimtoolError) as error:
         _check_count(own, 8000.0, "fills")
     (fault,) = error.value.faults
-    assert (fault.code, fault.where) == ("SIM064", "fills")
+    assert (fault.code, fault.where) == ("SIM064", "spacing")
     # Twice as far apart there are an eighth.
-    assert str(fault.hint).startswith("spacing: 0.2,")
+    assert str(fault.hint).startswith("use a spacing of 200 mm or")
     with pytest.raises(AnimtoolError) as error:
         _check_count(own, 1001, "fills")
-    assert str(error.value.faults[0].hint).startswith("spacing: 0.101,")
+    assert str(error.value.faults[0].hint).startswith("use a spacing of 101 mm or")
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from animtool.systems.fluid.filling import (
     Nozzle,
     _read_points,
     coarse_drop_warnings,
+    thin_fill_warnings,
 )
 from animtool.systems.fluid.fluid import Fluid, PressureResult
 from animtool.systems.fluid.spec import FluidEmitterModel, FluidModel
@@ -499,9 +500,18 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
     found = list(coarse_drop_warnings(spec, [{"shape": Sphere(radius)}]))
     assert [fault.code for fault in found] == codes
     for fault in found:
-        finer = float(str(fault.hint).removeprefix("spacing: "))
+        finer = float(str(fault.hint).split()[-2]) / 1000
         finely = spec.model_copy(update={"spacing": finer})
         assert not list(coarse_drop_warnings(finely, [{"shape": Sphere(radius)}]))
+
+
+@pytest.mark.parametrize(
+    ("size", "codes"), [((1, 0.09, 1), ["SIM204"]), ((1, 0.1, 1), [])]
+)
+def test_a_fill_thinner_than_the_spacing(size: Any, codes: list[str]) -> None:
+    keys = {"name": "it", "spacing": 0.1, "fills": [{"shape": {"box": {"size": size}}}]}
+    faults = list(thin_fill_warnings(FluidModel(**keys), [{"shape": Box(size)}]))
+    assert [fault.code for fault in faults] == codes
 
 
 @pytest.mark.parametrize(("radius", "codes"), [(0.26, ["SIM175"]), (0.27, [])])

@@ -269,6 +269,14 @@ FARTHER = np.array([[0.9, 0, 0], [0, 0, 0], [0, 0, 0]])
     [
         ({"cutoff": 1.2}, "box is 2.1844 nm wide, but twice the cut-off is 2.4 nm"),
         ({"box": [2.3e-9] * 3}, r"are in nm: write \[2.3, 2.3, 2.3\]"),
+        (
+            {"species": [{**ARGON, "sigma": 3.4}], "cutoff": None},
+            r"species\[0\]\.sigma: .* 0\.34$",
+        ),
+        (
+            {"species": [{**ARGON, "sigma": 340.5}], "cutoff": None},
+            r"\.sigma: .* 0\.3405$",
+        ),
         ({"temperature": -193}, "for -193 °C write 80.15"),
         ({"switch": 0.9}, "the switch starts at 0.9 nm, beyond the cut-off"),
         ({"block": [3, 1, 1]}, "the block is larger than the box"),

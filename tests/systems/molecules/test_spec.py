@@ -50,8 +50,9 @@ def test_what_atoms_and_their_box_are_where_nothing_is_given() -> None:
 def test_kilograms_and_angstroms_are_named() -> None:
     box = {"name": "it", "box": [2.3, 2.3, 2.3]}
     for entry, key, hint in (
-        ({"mass": 6.63e-26, "sigma": 0.3}, "species", "for 6.63e-26 kg write 39.93"),
-        ({"sigma": 3.405}, "box", "for 3.405 ångström write sigma: 0.3405"),
+        ({"mass": 6.63e-26, "sigma": 0.3}, "species[0].mass", "write 39.93"),
+        ({"sigma": 3.405}, "species[0].sigma", "ångström write sigma: 0.3405"),
+        ({"sigma": 340.5}, "species[0].sigma", "pm write sigma: 0.3405"),
         ({"sigma": 0.9}, "box", "use cutoff: 1.15, or a larger box"),
     ):
         species = [{"name": "argon", **entry}]

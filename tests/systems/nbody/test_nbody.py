@@ -178,14 +178,21 @@ TWO = np.array([[0.0, 0, 0], [1, 0, 0]])
         ),
         (
             {"galaxies": [SPIRAL], "encounter": {"separation": 3, "pericentre": 1}},
-            "needs two galaxies, but there are 1",
+            "needs two galaxies",
         ),
         (
             {
                 "galaxies": [SPIRAL, SPIRAL],
                 "encounter": {"separation": 9, "pericentre": 1, "eccentricity": 0.5},
             },
-            "the separation is 9 m, and on this orbit it is from 1 to 3 m",
+            r"nbody\.encounter\.separation: .* 9 m.* 3 m",
+        ),
+        (
+            {
+                "galaxies": [SPIRAL, SPIRAL],
+                "encounter": {"separation": 1, "pericentre": 7},
+            },
+            r"nbody\.encounter\.separation: .* 1 m.* 7 m",
         ),
         ({"galaxies": [SPIRAL], "colour": {"by": "taste"}}, "unknown quantity"),
         (

@@ -158,6 +158,7 @@ def test_a_burst_of_its_own_is_drawn_at_a_time() -> None:
         ({"spread": math.pi}, []),
         ({"spread": math.nextafter(math.pi, 4)}, ["spread"]),
         ({"spread": -1e-9}, ["spread"]),
+        ({"spread": 20.0}, ["spread"]),
         ({"radius": 0.2, "radius_spread": 0.199}, []),
         ({"radius": 0.2, "radius_spread": 0.2}, ["radius_spread"]),
         ({"start": 2.0, "end": 2.0}, []),
@@ -176,6 +177,7 @@ def test_ends_of_what_an_emitter_may_be(keys: Any, options: list[str]) -> None:
     found = Emitter(**keys).problems()
     assert [option for option, _ in found] == options
     assert ("burst 1" in str(found)) is ("bursts" in options)
+    assert ("write 0.349" in str(found)) is (keys.get("spread") == 20)
 
 
 def test_places_by_their_chances() -> None:

@@ -139,7 +139,7 @@ REFUSED = {
     "a copy without its number": (
         joint(ball(1, grid=ROW)),
         "joints[1].body",
-        "did you mean 'ball[",
+        "write 'ball[0]' to 'ball[",
     ),
     "no such other": (joint(to="bix"), "joints[1].to", "did you mean 'box'"),
     "a kinematic body": (joint(ball(1, kinematic=True)), "joints[1].body", "kinem"),

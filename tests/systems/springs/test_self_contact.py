@@ -31,6 +31,7 @@ from animtool.systems.springs import (
     sheet,
     simulate_springs,
 )
+from animtool.systems.springs.checks import thickness_notices
 
 XPBD = SpringOptions("xpbd")
 FLOOR = Collider(Plane((0.0, 0.0, 1.0)), friction=0.5)
@@ -510,6 +511,13 @@ def test_contacts_that_make_no_sense(contact: SelfContact, faults: int) -> None:
     with pytest.raises(OptionError) as error:
         SpringSystem(layers(), self_contact=contact)
     assert [fault.code for fault in error.value.faults] == ["SIM045"] * faults
+
+
+@pytest.mark.parametrize(("thickness", "codes"), [(0.09, []), (0.21, ["SIM205"])])
+def test_a_thickness_of_several_edges(thickness: float, codes: list[str]) -> None:
+    cloth = sheet(11, 11, mass=1.0, structural=Family(100.0))
+    faults = thickness_notices(SelfContact(thickness=thickness), cloth)
+    assert [fault.code for fault in faults] == codes
 
 
 def test_a_rope_has_no_layers() -> None:
