@@ -183,7 +183,7 @@ def check_self_contact(contact: SelfContact, body: Body) -> None:
 
 
 def thickness_notices(contact: SelfContact, body: Body) -> list[Fault]:
-    """Return a warning if self-contact is thicker than most edges (SIM205)."""
+    """Return a warning if self-contact is thicker than most edges (SIM189)."""
     corners = body.positions[body.triangles]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
     edge = float(np.median(edges)) if edges.size else 0.0
@@ -194,7 +194,7 @@ def thickness_notices(contact: SelfContact, body: Body) -> list[Fault]:
     message += f"{length_text(edge)}: folds cannot be that close"
     hint = f"use a thickness of {length_text(floor_to_two_digits(edge / 2))}, half an "
     hint += "edge"
-    return [warning("SIM205", message, hint, "self_contact.thickness")]
+    return [warning("SIM189", message, hint, "self_contact.thickness")]
 
 
 def tangle_notices(

@@ -513,7 +513,7 @@ def test_contacts_that_make_no_sense(contact: SelfContact, faults: int) -> None:
     assert [fault.code for fault in error.value.faults] == ["SIM045"] * faults
 
 
-@pytest.mark.parametrize(("thickness", "codes"), [(0.09, []), (0.21, ["SIM205"])])
+@pytest.mark.parametrize(("thickness", "codes"), [(0.09, []), (0.21, ["SIM189"])])
 def test_a_thickness_of_several_edges(thickness: float, codes: list[str]) -> None:
     cloth = sheet(11, 11, mass=1.0, structural=Family(100.0))
     faults = thickness_notices(SelfContact(thickness=thickness), cloth)
