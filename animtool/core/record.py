@@ -256,7 +256,7 @@ _OTHER_NAMES = {
 
 def _field_name_hint(record_type: type[Any], names: Collection[str]) -> str:
     """Return a hint with the field that an unknown argument means; "" if unclear."""
-    from animtool.core.names import most_similar
+    from difflib import get_close_matches  # every command imports this module
 
     known_names = _signature(record_type).parameters
     unknown_name = next((name for name in names if name not in known_names), None)
@@ -264,7 +264,9 @@ def _field_name_hint(record_type: type[Any], names: Collection[str]) -> str:
         return ""
     intended_name: str | None = _OTHER_NAMES.get(unknown_name)
     if intended_name not in known_names:
-        intended_name = most_similar(unknown_name, list(known_names))
+        intended_name = next(
+            iter(get_close_matches(unknown_name, known_names, 1)), None
+        )
     return f"; did you mean {intended_name!r}?" if intended_name else ""
 
 

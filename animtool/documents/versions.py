@@ -114,10 +114,10 @@ def file_of_kind(path: Path, kind: str, key: str) -> Iterator[None]:
     try:
         yield
     except FormatError as error:
-        found_kind = kind_of_name(path, "")
-        if error.code != "DOC009" or found_kind in {"", kind}:
+        file_kind = kind_of_name(path, "")
+        if error.code != "DOC009" or file_kind in {"", kind}:
             raise
-        message = f"{path.name} is not a {kind} file, but a {found_kind} file"
+        message = f"{path.name} is not a {kind} file, but a {file_kind} file"
         hint = f"name a file that ends in .{kind}.yaml"
         raise OptionError(Fault("DOC009", message, hint=hint, where=key)) from error
 
