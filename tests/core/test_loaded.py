@@ -10,6 +10,7 @@ import pytest
 
 from animtool import (
     Clip,
+    Rig,
     Take,
     bake,
     edit,
@@ -19,6 +20,7 @@ from animtool import (
     usd,
     write_bvh,
 )
+from animtool.core.errors import FormatError
 
 ROOT = Path(__file__).parents[2]
 WALK = ROOT / "samples/walk/walk.bvh"
@@ -84,3 +86,11 @@ def test_mappings_are_no_options() -> None:
         bake(WALK, "unwritten.usda", options)
     with pytest.raises(TypeError, match=r"SourceOptions\(\*\*options\)"):
         open_source(WALK, options)
+
+
+def test_clips_are_no_rigs() -> None:
+    with pytest.raises(FormatError) as caught:
+        Rig.load(CLIP)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path) == ("DOC009", str(CLIP))
+    assert "Clip.load" in (fault.hint or "")
