@@ -34,7 +34,14 @@ from animtool.batch.locations import locate_value_faults, variable_fault
 from animtool.batch.spec import BatchSpec, Limits
 from animtool.batch.variants import file_name_part, name_problems, variant_pattern
 from animtool.core.arguments import argument
-from animtool.core.errors import Fault, OptionError, Severity, listed, refuse_warnings
+from animtool.core.errors import (
+    AnimtoolError,
+    Fault,
+    OptionError,
+    Severity,
+    listed,
+    refuse_warnings,
+)
 from animtool.core.files.output import is_inside
 from animtool.core.files.reading import MatchedFile
 from animtool.core.names import check_unused_variables, has_kind_suffix, most_similar
@@ -242,6 +249,28 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
     return values_by_scene
 
 
+def unused_variable_faults(spec: BatchSpec) -> list[Fault]:
+    """Return a fault for each variable that the scene of a batch does not use.
+
+    None if the batch names no scene, or it cannot be read.
+    """
+    try:
+        spec = _with_scene_input(with_timeline_as_cuts(spec))
+        shots = cuts_of(spec).shots
+        if spec.scene is None or not shots:
+            return []
+        files = [shot.media for shot in shots]
+        item_task, overrides = _item_task(spec, files), resolve_overrides(spec, files)
+        source = item_task.source(_first_item(spec, shots[0], overrides))
+    except AnimtoolError:
+        return []
+    try:
+        _check_variables(spec, item_task, source)
+    except OptionError as error:
+        return list(error.faults)
+    return []
+
+
 def _with_scene_input(spec: BatchSpec) -> BatchSpec:
     """Return a batch in which the scene of the variants is the only input."""
     if spec.scene is None or spec.variants is None or spec.inputs or spec.cuts:
@@ -297,7 +326,11 @@ def _check_variables(
         variables,
         used_names - _item_names(spec),
         spec.path,
-        in_batch=spec.path is not None,
+        locate=None
+        if spec.path is None
+        else lambda name, message, hint: variable_fault(
+            spec, name, "SCN031", message, hint
+        ),
         has_scene=spec.scene is not None,
     )
 

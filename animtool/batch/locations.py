@@ -32,7 +32,12 @@ def variable_fault(
     values = document.value.get(key)
     has_rows = isinstance(values, list)
     if not has_rows and name not in (values or {}):
-        # An override, or a value that the command line adds to those of the batch.
+        overrides = document.value.get("overrides")
+        for i, entry in enumerate(overrides if isinstance(overrides, list) else ()):
+            if name in (entry.get("variables") or ()):
+                location = ("overrides", i, "variables", name)
+                return document.fault(code, location, message, hint)
+        # A value that the command line adds to those of the batch.
         return Fault(code, f"{name}: {message}", str(spec.path), hint=hint)
     return document.fault(code, (key, *([0] if has_rows else []), name), message, hint)
 

@@ -68,7 +68,8 @@ local_rotation, scale
         names = rig.control_names if group == "control" else rig.shape_names
         if name not in names:
             named_parts = rig.controls if group == "control" else rig.shapes
-            hint = name_hint(name, [part.name for part in named_parts])
+            nearest_hint = name_hint(name, [part.name for part in named_parts])
+            hint = _full_target(name, rig) or nearest_hint
             return Fault("CLIP002", f"unknown {group} {name!r}", hint=hint)
         return group
     if group != "joint" or not name:

@@ -350,3 +350,15 @@ def excerpt(text: str, limit: int = 40) -> str:
     "'aaaa…'"
     """
     return repr(text if len(text) <= limit else text[:limit] + "…")
+
+
+def value_excerpt(value: object, limit: int = 40) -> str:
+    """Return a value for use in a message, shortened; only text is quoted.
+
+    >>> value_excerpt("5"), value_excerpt([1, 2])
+    ("'5'", '[1, 2]')
+    """
+    if isinstance(value, str):
+        return excerpt(value, limit)
+    text = repr(value)
+    return text if len(text) <= limit else text[:limit] + "…"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 # How each class is loaded from a file.
@@ -31,8 +32,12 @@ def check_loaded(value: object, expected_class: type, name: str) -> None:
     if isinstance(value, str | Path):
         value_text = "a path"
         remedy = loader.format(repr(str(value)))
-    elif expected_class.__name__ == "Take" and hasattr(value, "collect"):
+    elif class_name == "Take" and hasattr(value, "collect"):
         remedy = f"{name}.collect()"
+    elif class_name == "Take" and type_name == "Clip":
+        remedy = f"{name}.sample(rig)"
+    elif class_name.endswith("Options") and isinstance(value, Mapping):
+        remedy = f"{class_name}(**{name})"
     elif isinstance(getattr(value, class_name.lower(), None), expected_class):
         remedy = f"{name}.{class_name.lower()}"
     hint = f"; write {remedy}" if remedy else ""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from itertools import islice
 from pathlib import Path
 
@@ -107,7 +107,7 @@ def check_unused_variables(
     used_names: Iterable[str],
     path: Path | None = None,
     *,
-    in_batch: bool = False,
+    locate: Callable[[str, str, str], Fault] | None = None,
     has_scene: bool = True,
 ) -> None:
     """Raise an error for variables that are not used.
@@ -116,15 +116,21 @@ def check_unused_variables(
         defined_names: Names of the variables.
         used_names: Names that scenes use.
         path: The scene, or the batch that defines them.
-        in_batch: Whether a batch defines them, and not the command line.
+        locate: Returns the fault of a variable from its name, a message and a hint;
+            None names the argument of the command line.
         has_scene: Whether there is a scene that could use them.
 
     >>> check_unused_variables(["shot"], ["shot", "rate"])
     """
     sorted_names, path_text = sorted(used_names), None if path is None else str(path)
-    setter = "variables" if in_batch else argument("variables")
+
+    def unlocated_fault(_: str, message: str, hint: str) -> Fault:
+        message = f"{argument('variables')}: {message}"
+        return Fault("SCN031", message, path_text, hint=hint)
+
+    locate = locate or unlocated_fault
     faults = [
-        Fault("SCN031", f"{setter}: no scene uses {name!r}", path_text, hint=hint)
+        locate(name, f"no scene uses {name!r}", hint)
         for name in defined_names
         if name not in sorted_names
         for hint in [

@@ -237,7 +237,37 @@ def _raise_argument_error(
     try:
         _signature(record_type).bind(*positional, **keyword_arguments)
     except TypeError as error:
-        raise TypeError(f"{record_type.__qualname__}.__init__(): {error}") from None
+        message = f"{record_type.__qualname__}.__init__(): {error}"
+        hint = _field_name_hint(record_type, keyword_arguments)
+        raise TypeError(f"{message}{hint}") from None
+
+
+# Fields by the names that other tools use for them.
+_OTHER_NAMES = {
+    "frame_rate": "fps",
+    "framerate": "fps",
+    "rate": "fps",
+    "frames": "frame_range",
+    "range": "frame_range",
+    "force": "overwrite",
+    "units": "unit",
+}
+
+
+def _field_name_hint(record_type: type[Any], names: Collection[str]) -> str:
+    """Return a hint with the field that an unknown argument means; "" if unclear."""
+    from difflib import get_close_matches  # every command imports this module
+
+    known_names = _signature(record_type).parameters
+    unknown_name = next((name for name in names if name not in known_names), None)
+    if unknown_name is None:
+        return ""
+    intended_name: str | None = _OTHER_NAMES.get(unknown_name)
+    if intended_name not in known_names:
+        intended_name = next(
+            iter(get_close_matches(unknown_name, known_names, 1)), None
+        )
+    return f"; did you mean {intended_name!r}?" if intended_name else ""
 
 
 def _signature(record_type: type[Any]) -> inspect.Signature:

@@ -22,6 +22,7 @@ import numpy.typing as npt
 from animtool.core.config import find_config
 from animtool.core.errors import FormatError
 from animtool.core.files.reading import InputFile, open_input
+from animtool.core.files.signatures import HEAD_BYTES, signature_of
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -201,6 +202,7 @@ class Archive:
                     f"{path.name} is a single array, as numpy.save writes, not an "
                     "archive of named ones, as numpy.savez does"
                 )
+            head += self._file.read(HEAD_BYTES - len(head))
             limited_file = _DirectoryLimitedFile(self._file)
             self._zip = _open_zip(limited_file, head, path)
             limited_file.limit = None
@@ -348,6 +350,9 @@ def _open_zip(file: _DirectoryLimitedFile, head: bytes, path: Path) -> ZipFile:
         message = "is empty; copy or write it again"
     elif head.startswith(ZIP_MAGIC):
         message = "is incomplete: its end is missing; copy or write it again"
+    elif (signature := signature_of(head)) is not None:
+        message = f"is {signature.format_name}, not an archive of arrays"
+        message += f"; {signature.hint}" if signature.hint else ""
     raise ArrayError(f"{path.name} {message}")
 
 

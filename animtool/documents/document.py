@@ -8,7 +8,8 @@ from dataclasses import field, replace
 from pathlib import Path
 from typing import Any
 
-from animtool.core.errors import Fault, FormatError, Severity, first_faults
+from animtool.core.arguments import argument
+from animtool.core.errors import Fault, FormatError, Severity, excerpt, first_faults
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
 from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, expects_format
 from animtool.core.names import FILE_KINDS
@@ -19,6 +20,8 @@ from animtool.documents.yaml_values import SourceMarks, read_values
 Location = tuple[str | int, ...]
 
 MAX_FAULTS = 100
+# Codes of values of a wrong type or range.
+VALUE_CODES = frozenset({"SCN002", "DOC022"})
 # Typographic quotes, and the characters that may close each.
 CLOSING_QUOTES = {
     "\u201c": "\u201d\u201c",
@@ -59,6 +62,8 @@ class Document:
     partial_lists: set[str] = field(default_factory=set)
     # Key in the file of each value whose key was renamed.
     old_keys: dict[Location, str] = field(default_factory=dict)
+    # Variables in each value that were set from outside the file, with their values.
+    outside_values: dict[Location, dict[str, str]] = field(default_factory=dict)
     _computed_marks: SourceMarks | None = field(default=None, init=False, repr=False)
     _child_indices: dict[tuple[int, str | int], int] = field(
         default_factory=dict, init=False, repr=False
@@ -247,6 +252,12 @@ class Document:
         line, column = self.position(location)
         where = location_text(tuple(self._written_steps(location)))
         path = str(self.path)
+        if code in VALUE_CODES and location in self.outside_values:
+            origins = [
+                f"{argument('variables')} sets ${{{name}}} to {excerpt(value)}"
+                for name, value in self.outside_values[location].items()
+            ]
+            hint = "; ".join([hint, *origins] if hint else origins)
         return Fault(code, message, path, (line,), hint, column=column, where=where)
 
     def check(self) -> None:

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from pathlib import Path
 
+from animtool.core.arguments import flag
 from animtool.core.config import find_config, innermost_project
+from animtool.core.errors import counted
 from animtool.core.files.reading import (
+    MAX_SEARCHED_NAMES,
     exists,
+    is_pattern,
     nearest_file,
     path_from_folder,
     unexpanded_hint,
+    url_hint,
 )
 from animtool.documents.document import Document, Location
 
@@ -94,7 +100,29 @@ def similar_file_hint(document: Document, name: str) -> str | None:
     """Return a hint for a missing file: a similar name, or how to spell its path."""
     if "\\" in name:
         return f"write / in paths: {name.replace(chr(92), '/')}"
-    return unexpanded_hint(name) or nearest_file(Path(name), document.path.parent)
+    return (
+        unexpanded_hint(name)
+        or url_hint(name)
+        or _pattern_hint(document, name)
+        or nearest_file(Path(name), document.path.parent)
+    )
+
+
+def _pattern_hint(document: Document, name: str) -> str | None:
+    """Return a hint for a glob where one file is needed; None for other names."""
+    # Counting the files of `**` could search a whole disk.
+    if not is_pattern(name) or "**" in name or Path(name).is_absolute():
+        return None
+    try:
+        paths = islice(document.path.parent.glob(name), MAX_SEARCHED_NAMES)
+        file_count = sum(1 for _ in paths)
+    except (OSError, ValueError, NotImplementedError):
+        return None
+    hint = f"it is a pattern, of {counted(file_count, 'file')}: name one file"
+    if {"scene", "batch"}.intersection(document.value) == {"scene"} and file_count > 1:
+        command = f"animtool batch '{name}' {flag('scene', document.path.name)}"
+        hint += f", or write ${{input}} and bake the scene for each with {command}"
+    return hint
 
 
 def resolve_input(

@@ -78,7 +78,11 @@ def resolve_variables(
             path, without a slash.
     """
     resolver = _Resolver(
-        document, model, dict(variables), component_names=set(component_names)
+        document,
+        model,
+        dict(variables),
+        component_names=set(component_names),
+        outside_names=frozenset(variables),
     )
     resolver.read_defaults()
     for location, text in list(_variable_texts(document.value, ())):
@@ -156,6 +160,8 @@ class _Resolver:
     faulty_names: set[str] = field(default_factory=set)
     # Variables whose value another file sets, directly or through other variables.
     component_names: set[str] = field(default_factory=set)
+    # Variables whose value is set from outside the document.
+    outside_names: frozenset[str] = frozenset()
 
     def read_defaults(self) -> None:
         """Read the default values of variables; each may use the ones before it."""
@@ -215,6 +221,12 @@ class _Resolver:
             value = placeholder_of(annotation)
             self.document.placeholders.add(location)
         set_value_at(self.document.value, location, value)
+        names = {use["name"] for use in _VARIABLE_USE.finditer(text)}
+        outside_names = sorted(names & self.outside_names)
+        if outside_names:
+            self.document.outside_values[location] = {
+                name: self.values[name] for name in outside_names
+            }
 
     def safe_output_name(
         self, location: Location, text: str, resolved_text: str

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from animtool.core.arguments import flag
-from animtool.core.errors import FormatError, excerpt
+from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, format_mismatch
 from animtool.core.names import FILE_KINDS
 from animtool.documents.document import Document, Location, kind_of_name
@@ -37,7 +39,7 @@ _OLD_KEY_TYPES: dict[tuple[str | None, ...], type] = {
 _WRONG_KIND_HINTS = {
     "batch": "animtool batch runs it",
     "cameras": f"animtool mocap triangulate takes it with {flag('cameras')}",
-    "clip": "animtool bake bakes it",
+    "clip": "animtool bake bakes it, and Clip.load of Python reads it",
     "landmarks": f"animtool mocap face takes it with {flag('landmarks')}",
     "map": f"animtool retarget takes it with {flag('map')}",
     "markers": f"animtool mocap solve takes it with {flag('template')}",
@@ -100,6 +102,24 @@ def _wrong_kind_hint(kind: str | None, file_kind: str) -> str:
     elif kind == "clip":
         hint += "; a take is a clip, BVH, glTF, FBX or USD file"
     return hint
+
+
+@contextmanager
+def file_of_kind(path: Path, kind: str, key: str) -> Iterator[None]:
+    """Raise a fault about a key if the file that it names is of another kind (DOC009).
+
+    >>> with file_of_kind(Path("a.targets.yaml"), "targets", "targets"):
+    ...     pass
+    """
+    try:
+        yield
+    except FormatError as error:
+        file_kind = kind_of_name(path, "")
+        if error.code != "DOC009" or file_kind in {"", kind}:
+            raise
+        message = f"{path.name} is not a {kind} file, but a {file_kind} file"
+        hint = f"name a file that ends in .{kind}.yaml"
+        raise OptionError(Fault("DOC009", message, hint=hint, where=key)) from error
 
 
 def kind_and_version(

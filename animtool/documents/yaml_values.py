@@ -286,11 +286,19 @@ class _YamlReader:
                 document_count += 1
                 if document_count > 1:
                     position = self._event_position(event)
-                    self._fail("DOC007", "contains more than one document", position)
+                    message = "contains more than one document"
+                    hint = "delete the line ---, or move what follows into another file"
+                    self._fail("DOC007", message, position, hint)
         return root[0] if root else None
 
-    def _fail(self, code: str, message: str, position: tuple[int, int]) -> NoReturn:
-        self.add_fault(code, message, position)
+    def _fail(
+        self,
+        code: str,
+        message: str,
+        position: tuple[int, int],
+        hint: str | None = None,
+    ) -> NoReturn:
+        self.add_fault(code, message, position, hint)
         raise FormatError(self.faults)
 
     @staticmethod

@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from animtool.core.arguments import argument
 from animtool.core.clock import MAX_FRAMES, Clock
-from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.errors import Fault, OptionError, value_excerpt
 
 
 def exact_fraction(number: float, name: str) -> Fraction:
@@ -20,7 +20,7 @@ def exact_fraction(number: float, name: str) -> Fraction:
     try:
         is_finite = math.isfinite(number)
     except TypeError as error:
-        message = f"{name} must be a number, not {excerpt(repr(number))}"
+        message = f"{name} must be a number, not {value_excerpt(number)}"
         raise TypeError(message) from error
     if not is_finite:
         raise frame_error(f"{name} is {number}, which is not a frame")
@@ -38,6 +38,9 @@ def check_range(first: float | None, last: float | None) -> None:
         message = f"the range from {first:g} to {last:g} is reversed"
         swapped_options = argument("first", f"{last:g}"), argument("last", f"{first:g}")
         hint = f"write {' and '.join(swapped_options)}"
+        if range_ends[1] < 0 <= range_ends[0]:
+            hint = "frames are not counted from the end: leave out "
+            hint += f"{argument('last')} to keep all frames up to the end"
         raise frame_error(message, hint)
 
 

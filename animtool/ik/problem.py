@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import ArrayLike, as_floats
 from animtool.core.errors import Fault, OptionError, counted, listed
 from animtool.core.loaded import check_loaded
@@ -125,7 +126,7 @@ def build(
     if pose is not None:
         pose_coordinates = as_floats(pose, (rig.coordinates,), "pose")
     moving_joints = find_moving_joints(rig, goals, joints)
-    faults = _immovable_faults(rig, goals, moving_joints)
+    faults = _immovable_faults(rig, goals, moving_joints, joints)
     if faults:
         raise OptionError(faults)
     chain, faults = assemble_chain(rig, goals, moving_joints, pose_coordinates)
@@ -218,7 +219,10 @@ def find_moving_joints(
 
 
 def _immovable_faults(
-    rig: Rig, goals: Sequence[Goal], moving_joints: set[int]
+    rig: Rig,
+    goals: Sequence[Goal],
+    moving_joints: set[int],
+    allowed_joints: Collection[str] | None,
 ) -> list[Fault]:
     """Return a fault for each goal that no joint moves."""
     faults = []
@@ -226,12 +230,16 @@ def _immovable_faults(
         joints_above = rig.upwards(rig.index(goal.joint))
         if moving_joints.intersection(joints_above):
             continue
+        # The nearest joint is the first.
         movable_names = [
-            rig.joints[j].name for j in sorted(find_moving_joints(rig, [goal]))
+            rig.joints[j].name
+            for j in sorted(find_moving_joints(rig, [goal]), reverse=True)
         ]
         hint = "a joint cannot move a position at its own origin: set an offset"
-        if movable_names:
-            hint = f"none of the joints that could move it may: {listed(movable_names)}"
+        if movable_names and allowed_joints is not None:
+            hint = f"add to {argument('joints')} one that can: {listed(movable_names)}"
+        elif movable_names:
+            hint = f"these joints could, but must not: {listed(movable_names)}"
         elif not any(rig.joints[j].type is not JointType.FIXED for j in joints_above):
             hint = "only fixed joints are above it"
         message = f"no joint moves {goal.joint!r}"

@@ -12,6 +12,7 @@ from animtool.core.errors import Fault, OptionError, refuse
 from animtool.core.options import options_of, with_text_values
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
+from animtool.documents.versions import file_of_kind
 from animtool.ik.file import load_targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.options import TakeOptions
@@ -55,9 +56,11 @@ def rig_and_tracks(
     """
     path = folder / _targets_file(options)
     if options.rig is not None:
-        rig = with_joint_data_of(take.rig, Rig.load(folder / options.rig))
-        take = replace(take, rig=rig)
-    return take, load_targets(path, take.rig)
+        with file_of_kind(options.rig, "rig", "rig"):
+            rig_file = Rig.load(folder / options.rig)
+        take = replace(take, rig=with_joint_data_of(take.rig, rig_file))
+    with file_of_kind(path, "targets", "targets"):
+        return take, load_targets(path, take.rig)
 
 
 def _run(take: Take, options: Any, context: PassContext) -> Take:

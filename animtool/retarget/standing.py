@@ -32,6 +32,8 @@ from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
 MIN_SIZES, MIN_CHARACTER_JOINTS = (0.01, 0.05), 8
 # Formats that state their unit, as details of a stream name them.
 SIZED_FORMATS = frozenset({"USD", "glTF", "FBX"})
+# How a file states its up axis.
+UP_AXIS_HINTS = {"USD": 'set upAxis = "{}"', "clip": "write up: {} in the rig"}
 # Sizes of people [m].
 PERSON_HEIGHTS = (0.5, 3.0)
 # Minimum cosine to an axis for a body that stands along it [1].

@@ -25,6 +25,7 @@ from animtool.core.errors import (
 from animtool.core.options import with_text_values
 from animtool.core.quantities import length_text, plain_number
 from animtool.core.record import dataclass
+from animtool.documents.versions import file_of_kind
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
     MOTION_PARTS,
@@ -52,7 +53,11 @@ from animtool.retarget.roles import (
     base_role,
 )
 from animtool.retarget.root_position import root_warning
-from animtool.retarget.standing import find_standing_axis, unit_warnings
+from animtool.retarget.standing import (
+    UP_AXIS_HINTS,
+    find_standing_axis,
+    unit_warnings,
+)
 from animtool.retarget.swapped_legs import swapped_legs_warning
 from animtool.retarget.verdict import is_likely_scale
 from animtool.rig.kinematics import forward_kinematics
@@ -204,8 +209,12 @@ def retarget_stream(
     elif stance_axis is not None:
         message = f"the body stands along {stance_axis}, though the take's up axis is "
         message += f"{source.up}; using {stance_axis} up"
+        file_format = stream.details.get("format")
         hint = f"confirm with {argument('source.up', stance_axis)}, or write "
         hint += f"{argument('source.up', source.up)} if it lies"
+        if file_format in UP_AXIS_HINTS:  # the file states it
+            hint = UP_AXIS_HINTS[str(file_format)].format(stance_axis)
+            hint += " if it does not lie"
         notices.append(warning("MAP009", message, hint))
         source = replace(source, up=stance_axis)
     rest = rest_rotations
@@ -336,7 +345,9 @@ def _rig_path(options: RetargetPassOptions) -> Path:
 def _run_pass(stream: TakeStream, options: Any, context: PassContext) -> TakeStream:
     """Return the stream retargeted onto the rig; the fit is reported at its end."""
     # The take determines root motion, not the rig's stage.
-    rig = at_origin(Rig.load(context.folder / _rig_path(options)))
+    rig_path = _rig_path(options)
+    with file_of_kind(rig_path, "rig", "rig"):
+        rig = at_origin(Rig.load(context.folder / rig_path))
     names = RetargetOptions.__dataclass_fields__
     settings = RetargetOptions(**{name: getattr(options, name) for name in names})
     if settings.map is not None:

@@ -196,7 +196,11 @@ def _syntax_fault(text: str, error: Exception) -> str:
         return f"{message}write {text_before} * {after_text}"
     if unit_match := re.match(r"[0-9.]+(mm|cm|m|in|ft|deg|rad|s)\b", after_text):
         return f"{excerpt(unit_match[0])} has a unit: write numbers in the rig's units"
-    return f"the expression cannot be read from {excerpt(after_text)} on"
+    message = f"the expression has a syntax error at {excerpt(after_text)}; "
+    hint = "write numbers, names, + - * / and functions, as in 2 * sin(x)"
+    if text.startswith("=") and (bare_text := text.lstrip("= ")):
+        message, hint = "an expression has no '=' in front; ", f"write {bare_text}"
+    return message + hint
 
 
 def _coordinate_name(node: ast.expr) -> str | None:

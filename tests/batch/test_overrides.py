@@ -12,6 +12,7 @@ from support.cli import animtool
 from animtool.batch.discover import find_batch
 from animtool.batch.file import load_batch
 from animtool.core.errors import FormatError, OptionError
+from animtool.validation.run import validate
 
 SCENE = (
     "scene: animtool/1\nsource: {file: ${input}}\n"
@@ -76,7 +77,12 @@ def test_names_that_have_another_meaning_are_refused(tmp_path: Path) -> None:
     path.write_text(HEAD + "- {inputs: [takes], variables: {frist: 2}}\n", "utf-8")
     with pytest.raises(OptionError) as unused:
         find_batch(load_batch(path))
-    assert [fault.code for fault in unused.value.faults] == ["SCN031"]
+    (fault,) = unused.value.faults
+    assert (fault.code, fault.where, fault.lines) == (
+        ("SCN031", "overrides[0].variables.frist", (7,))
+    )
+    (finding,) = validate([path])
+    assert (finding.code, finding.where) == ("SCN031", fault.where)
 
 
 def test_an_override_for_no_input_is_named(tmp_path: Path) -> None:

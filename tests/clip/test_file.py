@@ -118,6 +118,7 @@ PLANTED = [
     ("- {target: joint/elbow_l, keys: [{t: 0, v: 0}]}", "CLIP001", 5, ".angle"),
     ("- {target: joint/elbw_l.angle, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'elbow_l'"),
     ("- {target: control/grim, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "'grin'"),
+    ("- {target: shape/grin, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "control/grin"),
     ("- {target: shape/smile, keys: [{t: 0, v: 0}]}", "CLIP002", 5, "none are defined"),
     ("- {target: joint/hips.angle, keys: [{t: 0, v: 0}]}", "CLIP003", 5, "translation"),
     ("- {target: joint/chest.translation, keys: [{t: 0, v: [0, 0, 0]}]}",

@@ -8,7 +8,19 @@ from typing import Any
 
 import pytest
 
-from animtool import Clip, Take, edit, ik, open_source, read_bvh, usd, write_bvh
+from animtool import (
+    Clip,
+    Rig,
+    Take,
+    bake,
+    edit,
+    ik,
+    open_source,
+    read_bvh,
+    usd,
+    write_bvh,
+)
+from animtool.core.errors import FormatError
 
 ROOT = Path(__file__).parents[2]
 WALK = ROOT / "samples/walk/walk.bvh"
@@ -61,3 +73,24 @@ def test_paths_and_takes_are_no_rigs(function: Callable[[Any], object]) -> None:
         function(take)
     with pytest.raises(TypeError, match=r"rig is None, not a Rig$"):
         function(None)
+
+
+def test_clips_are_sampled_first() -> None:
+    with pytest.raises(TypeError, match=r"take is a Clip.* take\.sample\(rig\)"):
+        usd.write(Clip.load(CLIP), "unwritten.usda")  # type: ignore[arg-type]
+
+
+def test_mappings_are_no_options() -> None:
+    options: Any = {"fps": 24}
+    with pytest.raises(TypeError, match=r"BakeOptions\(\*\*options\)"):
+        bake(WALK, "unwritten.usda", options)
+    with pytest.raises(TypeError, match=r"SourceOptions\(\*\*options\)"):
+        open_source(WALK, options)
+
+
+def test_clips_are_no_rigs() -> None:
+    with pytest.raises(FormatError) as caught:
+        Rig.load(CLIP)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path) == ("DOC009", str(CLIP))
+    assert "Clip.load" in (fault.hint or "")

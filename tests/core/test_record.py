@@ -176,3 +176,10 @@ def test_a_mutable_default_is_refused() -> None:
         @dataclass
         class Bad:
             names: list[str] = []  # noqa: RUF012
+
+
+@pytest.mark.parametrize(("name", "field"), [("lst", "last"), ("colour", None)])
+def test_a_misspelled_argument_names_the_field(name: str, field: str | None) -> None:
+    hint = f"did you mean '{field}'" if field else f"'{name}'$"
+    with pytest.raises(TypeError, match=hint):
+        Named(1, name="a", **{name: 2})  # type: ignore[arg-type]

@@ -356,3 +356,10 @@ def test_an_archive_that_changes_is_found(tmp_path: Path) -> None:
             file.write(b"x")
         with raises(FormatError, "IO004"):
             archives.load(path, "points")
+
+
+def test_a_pointer_to_an_archive(tmp_path: Path) -> None:
+    text = "version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 9\n"
+    (tmp_path / "a.npz").write_text(text)
+    with Archives() as archives, pytest.raises(ValueError, match="git lfs pull"):
+        archives.names(tmp_path / "a.npz")

@@ -490,3 +490,13 @@ def test_typographic_quotes(tmp_path: Path, text: str, found: bool) -> None:
     if found:
         ((line,), column) = document.notices[0].lines, document.notices[0].column
         assert (line, text[column - 1] in "\u201c\u2018\u201e\xab") == (1, True)
+
+
+def test_a_second_document_has_a_remedy(tmp_path: Path) -> None:
+    path = tmp_path / "a.scene.yaml"
+    path.write_text("a: 1\n---\nb: 2\n")
+    with pytest.raises(FormatError) as caught:
+        read_document(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("DOC007", (2,))
+    assert "---" in (fault.hint or "")

@@ -135,3 +135,24 @@ def test_what_is_refused_is_not_opened(
     with recorded_inputs() as inputs:
         assert run(["validate", name]) == 1
     assert not [path for path in inputs.states if path.match("o.*")]
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("file:///takes/walk.bvh", ": /takes/walk.bvh"),
+        ("file:///C:/walk.bvh", ": C:/walk.bvh"),
+        ("https://example.org/walk.bvh", "download"),
+        ("*.bvh", "2 files: name one file, or write ${input}"),
+        ("nowhere/*.bvh", "0 files: name one file"),
+    ],
+)
+def test_urls_and_patterns_are_no_files(tmp_path: Path, name: str, hint: str) -> None:
+    for take in ("a.bvh", "b.bvh"):
+        (tmp_path / take).touch()
+    path = tmp_path / "a.scene.yaml"
+    document = parse_document(f"scene: animtool/1\nsource: '{name}'\n", path)
+    assert resolve_input(document, ("source",), name, [tmp_path]) is None
+    (fault,) = document.faults
+    assert fault.code == "DOC015"
+    assert hint in (fault.hint or "")

@@ -199,3 +199,14 @@ def test_a_range_in_seconds_that_leaves_one_frame_is_said() -> None:
     assert [notice.code for notice in short.notices] == ["TAKE010"]
     assert short.clock.count == 1
     assert trim(take, 1, 1).notices == ()
+
+
+def test_frames_are_not_counted_from_the_end() -> None:
+    for last, is_swapped in ((-1, False), (2, True)):
+        with pytest.raises(OptionError) as caught:
+            trim(numbered(5), 3, last)
+        (fault,) = caught.value.faults
+        assert fault.code == "SCN013"
+        assert ("first=" in (fault.hint or "")) is is_swapped
+    with pytest.raises(TypeError, match=r"not '5'$"):
+        trim(numbered(5), "5")  # type: ignore[arg-type]

@@ -56,6 +56,11 @@ def test_a_take_that_stands_along_z_in_a_file_that_does_not_say_so(root: Path) -
             TakeStream.of(take), biped, RetargetOptions()
         )
         assert [n.code for n in notices if n.code == "MAP009"] == codes
+        stream = TakeStream.of(take)
+        stream.details["format"] = "USD"
+        notices = retarget_stream(stream, biped, RetargetOptions())[2]
+        hints = [str(n.hint) for n in notices if n.code == "MAP009"]
+        assert ["upAxis" in hint for hint in hints] == [True] * len(codes)
         motion = Motion.concatenate(list(made.blocks()))
         places.append(forward_kinematics(biped, *motion.dense()).positions)
         assert made.report().sole_error < 1e-6

@@ -233,6 +233,7 @@ FAULTS = [
     ("control: wear", "control: wer", "RIG012", 20),
     ("grip * 0.5", "grp * 0.5", "RIG012", 20),
     ("grip * 0.5", "grip ** 2", "RIG013", 20),
+    ("grip * 0.5", "=grip * 0.5", "RIG013", 20),
     ("grip * 0.5", "grip.real", "RIG013", 20),
     ("grip * 0.5", "grip + wear", "RIG014", 21),
     ("claw_l.angle", "claw_l", "RIG015", 20),

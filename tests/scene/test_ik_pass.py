@@ -126,3 +126,14 @@ def test_a_stage_that_targets_follow_is_not_replaced(place: Path) -> None:
     assert done.code == 2
     assert "OUT003" in done.stderr
     assert (place / "held.usda").read_text() == shot
+
+
+def test_targets_of_another_kind_are_located_in_the_scene(place: Path) -> None:
+    (place / "walker.rig.yaml").write_text(SIDECAR)
+    path = place / "held.scene.yaml"
+    path.write_text(SCENE.replace("feet.targets.yaml", "walker.rig.yaml"))
+    with pytest.raises(FormatError) as caught:
+        load_scene(path).open().collect()
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path, fault.lines) == ("DOC009", str(path), (5,))
+    assert ".targets.yaml" in (fault.hint or "")

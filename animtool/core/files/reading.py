@@ -216,6 +216,27 @@ def unexpanded_hint(text: str) -> str | None:
     return hint + "value" + clause(f" with {argument('set', f'{name}=VALUE')}")
 
 
+# A URL; paths have one slash of those after the colon.
+_URL = re.compile(r"([A-Za-z][A-Za-z0-9+.-]+):/{1,3}(?=[^/])")
+
+
+def url_hint(text: str) -> str | None:
+    """Return a hint for a URL in place of a path; None for paths.
+
+    >>> url_hint("file:///takes/walk.bvh"), url_hint("walk.bvh")
+    ('write the path without file://: /takes/walk.bvh', None)
+    """
+    match = _URL.match(text)
+    if match is None:
+        return None
+    if match[1].lower() == "file":
+        path_text = text[match.end() :]
+        is_drive = re.match("[A-Za-z]:", path_text) is not None
+        slash = "" if is_drive else "/"
+        return f"write the path without file://: {slash}{path_text}"
+    return "only local files are read: download it, and write its path"
+
+
 _UNLIKELY_SUFFIXES = {"", ".md", ".npz", ".png", ".py", ".txt"}
 
 
@@ -365,6 +386,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     without one, it names the missing folder. Relative paths start in ``folder``. None
     if the file exists, or only the file is missing and no name is similar.
     """
+    if not exists(folder / path) and (hint := url_hint(path.as_posix())):
+        return hint
     outermost_first = reversed([path, *path.parents])
     missing_path = next((p for p in outermost_first if not exists(folder / p)), None)
     if missing_path is None or not missing_path.name:

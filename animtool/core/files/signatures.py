@@ -75,6 +75,13 @@ SIGNATURES = (
         "",
         "fetch the file: git lfs pull",
     ),
+    _signature(
+        "a gzip file", rb"\x1f\x8b\x08", "", "decompress it: gunzip < FILE > COPY"
+    ),
+    _signature("an xz file", rb"\xfd7zXZ\0", "", "decompress it: unxz < FILE > COPY"),
+    _signature(
+        "a bzip2 file", rb"BZh[1-9]1AY&SY", "", "decompress it: bunzip2 < FILE > COPY"
+    ),
     _signature("a Blender file", rb"BLENDER", "", _EXPORT_HINT.format("Blender")),
     _signature(
         "a Maya scene",

@@ -236,7 +236,12 @@ class RowReader:
             message = f"{excerpt(word)} is not a number ({excerpt(name)})"
             return Fault("BVH011", message, path, (line,), hint)
         hint = "each frame must be one line; are these rows wrapped?"
-        if column > self._column_count:
+        declared_count = self.source.declared_frame_count
+        if 0 < declared_count <= self._row_count:
+            frame_text = counted(declared_count, "frame")
+            hint = f"the {frame_text} of the header end before this line: are these "
+            hint += "rows of another take? delete them"
+        elif column > self._column_count:
             hint = "does the HIERARCHY name every channel?"
         elif is_last_line:
             hint = "the file ends here: is it truncated? copy or export it again"

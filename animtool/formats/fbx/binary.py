@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from animtool.core.errors import excerpt
+from animtool.core.errors import value_excerpt
 from animtool.formats.fbx.elements import (
     MAX_ARRAY_BYTES,
     MAX_ELEMENTS,
@@ -140,7 +140,7 @@ class _RecordReader:
                 value, offset = self._read_array(type_code, offset, end)
                 values.append(value)
             else:
-                self._fail(offset, f"unknown value type {excerpt(repr(type_code))}")
+                self._fail(offset, f"unknown value type {value_excerpt(type_code)}")
         return values
 
     def _read_value_batch(self, offset: int, count: int, end: int) -> Any:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import excerpt
+from animtool.core.errors import value_excerpt
 from animtool.core.record import dataclass
 from animtool.formats import FLOAT32_MAX
 from animtool.formats.file_notices import FileNotices
@@ -50,7 +50,7 @@ def read_number(element: Element, index: int, notes: FileNotices) -> float:
     if isinstance(value, np.ndarray) and value.size:
         value = value.reshape(-1)[0].item()
     if not isinstance(value, int | float) or not abs(value) <= FLOAT32_MAX:
-        message = f"{element.name} must be a number, not {excerpt(repr(value))}"
+        message = f"{element.name} must be a number, not {value_excerpt(value)}"
         notes.fail("FBX005", element.location, message)
     return float(value)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from animtool.core.errors import excerpt
+from animtool.core.errors import excerpt, value_excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import FileSkin, Node, find_root_nodes
@@ -169,7 +169,7 @@ def _check_extension_lists(root: JsonItem) -> tuple[list[Any], list[Any]]:
     for i, name in enumerate(used_names):
         pointer = f"{root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
-            message = f"{excerpt(repr(name))} is not an extension name: ignored"
+            message = f"{value_excerpt(name)} is not an extension name: ignored"
             notes.warn("GLT106", pointer, message)
         elif name in REQUIRED_EXTENSIONS and name not in required_names:
             notes.warn("GLT106", pointer, f"{name} is used, but not required")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any, NoReturn
 
-from animtool.core.errors import excerpt
+from animtool.core.errors import value_excerpt
 from animtool.core.record import dataclass
 from animtool.formats import FLOAT32_MAX
 from animtool.formats.file_notices import FileNotices
@@ -65,7 +65,7 @@ class JsonItem:
         value = self.values[key]
         if _is_integer(value):
             return int(value)
-        return self.fail(key, f"{key} must be an integer, not {excerpt(repr(value))}")
+        return self.fail(key, f"{key} must be an integer, not {value_excerpt(value)}")
 
     def size(self, key: str, default: int | None = None, minimum: int = 0) -> int:
         """Return an integer property; raise if it is missing or below a minimum."""
@@ -99,7 +99,7 @@ class JsonItem:
         values = self.read_list(key)
         for i, value in enumerate(values):
             if not _is_integer(value):
-                self.fail(key, f"entry {i} is {excerpt(repr(value))}, not an integer")
+                self.fail(key, f"entry {i} is {value_excerpt(value)}, not an integer")
             if not 0 <= value < count:
                 message = f"{noun} {int(value)} does not exist"
                 self.notes.fail("GLT006", f"{self.pointer_to(key)}/{i}", message)
@@ -114,7 +114,7 @@ class JsonItem:
             self.fail(key, f"{key} must have {length} numbers, not {len(values)}")
         for i, value in enumerate(values):
             if not is_number(value):
-                self.fail(key, f"{excerpt(repr(value))} is not a number")
+                self.fail(key, f"{value_excerpt(value)} is not a number")
             if not abs(value) <= FLOAT32_MAX:
                 message = f"{value} is outside the range of a float32"
                 self.notes.fail("GLT010", f"{self.pointer_to(key)}/{i}", message)
@@ -126,14 +126,14 @@ class JsonItem:
         if value is None and key == "name" and key in self.values:
             self.notes.warn("GLT106", self.pointer_to(key), "a name of null is ignored")
         elif not isinstance(value, str) and key in self.values:
-            self.fail(key, f"{key} must be text, not {excerpt(repr(value))}")
+            self.fail(key, f"{key} must be text, not {value_excerpt(value)}")
         return value
 
     def flag(self, key: str) -> bool:
         """Return a boolean property; False if missing."""
         value = self.values.get(key, False)
         if not isinstance(value, bool):
-            self.fail(key, f"{key} must be true or false, not {excerpt(repr(value))}")
+            self.fail(key, f"{key} must be true or false, not {value_excerpt(value)}")
         return value
 
     def read_list(self, key: str) -> list[Any]:
@@ -142,7 +142,7 @@ class JsonItem:
             return []
         value = self.values[key]
         if not isinstance(value, list):
-            self.fail(key, f"{key} must be a list, not {excerpt(repr(value))}")
+            self.fail(key, f"{key} must be a list, not {value_excerpt(value)}")
         if not value:
             self.notes.warn("GLT106", self.pointer_to(key), "an empty list is ignored")
         return value
@@ -153,7 +153,7 @@ class JsonItem:
             return None
         value = self.values[key]
         if not isinstance(value, dict):
-            self.fail(key, f"{key} must be an object, not {excerpt(repr(value))}")
+            self.fail(key, f"{key} must be an object, not {value_excerpt(value)}")
         return JsonItem(value, self.pointer_to(key), self.notes)
 
     def required_child(self, key: str) -> JsonItem:
@@ -166,7 +166,7 @@ class JsonItem:
         for i, value in enumerate(self.read_list(key)):
             pointer = f"{self.pointer_to(key)}/{i}"
             if not isinstance(value, dict):
-                message = f"must be an object, not {excerpt(repr(value))}"
+                message = f"must be an object, not {value_excerpt(value)}"
                 self.notes.fail("GLT005", pointer, message)
             items.append(JsonItem(value, pointer, self.notes))
         return items

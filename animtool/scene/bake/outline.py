@@ -11,6 +11,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.commit import output_target
 from animtool.core.files.output import STDOUT, check_outputs, name_key
+from animtool.core.loaded import check_loaded
 from animtool.core.readers import USD_PACKAGE_SUFFIX
 from animtool.core.record import dataclass
 from animtool.core.writers import take_writer, writer_of, writes_stage
@@ -134,6 +135,8 @@ def create_outline(
         base: For a clip: base take of an additive take.
         rig_file: For a clip: its rig file, to which it refers; None writes one.
     """
+    if options is not None:
+        check_loaded(options, BakeOptions, "options")
     is_single = isinstance(sources, str) or not isinstance(sources, Sequence)
     source_list = cast("Sequence[Source]", [sources] if is_single else sources)
     sources_to_read = source_set(source_list)

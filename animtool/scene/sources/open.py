@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 from animtool.core.arguments import ArgumentNamer, argument
 from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, record_input
+from animtool.core.loaded import check_loaded
 from animtool.core.names import has_kind_suffix
 from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
 from animtool.core.rates import OptionalFraction, rate_option
@@ -30,6 +31,8 @@ _DROPPED_FRAME_MODES = ("interpolate", "hold", "close")
 _POSITION_MODES = ("channels", "offsets")
 _ONLY_BVH_REASON = "sets what a BVH does not state; this file states it"
 _UNIT_REASON = "sets the unit of a BVH, a glTF or an FBX; this file states its own"
+_UP_REASON = "sets the up axis of a BVH, a glTF or an FBX; this file states its own"
+_RATE_REASON = "sets the rate of a BVH, a glTF or an FBX; this file states its own"
 
 
 @inherits_docs
@@ -70,7 +73,7 @@ class SourceOptions:
     up: UpAxis | None = option(
         None,
         "axis",
-        reason=_UNIT_REASON,
+        reason=_UP_REASON,
         scene=Key(
             "Up axis of a BVH, glTF or FBX. Default: Y; as stated in an FBX.", "Z"
         ),
@@ -103,7 +106,7 @@ class SourceOptions:
         None,
         "rate",
         flag="source-fps",
-        reason=_UNIT_REASON,
+        reason=_RATE_REASON,
         scene=Key(
             "For a BVH: its true frame rate; for a face recording: the rate of its "
             "time code; for a glTF or FBX: the rate to sample its keys at. Default: "
@@ -308,6 +311,8 @@ def open_source(
         OptionError: Its suffix is none that animtool reads, or an option does not
             apply to it.
     """
+    if options is not None:
+        check_loaded(options, SourceOptions, "options")
     path, options = Path(path), options or SourceOptions()
     if has_kind_suffix(path, "scene"):
         message = "is a scene, not a take"

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from animtool.core.errors import AnimtoolError, Fault, excerpt
+from animtool.core.errors import AnimtoolError, Fault, value_excerpt
 from animtool.core.names import name_hint
 from animtool.core.options import ENTRY_RANGE_MESSAGE, CheckedRecord, range_faults
 from animtool.documents.arrays import load_array
@@ -338,7 +338,7 @@ class EntryReader:
         self.record_faults(location, unknown_keys)
         is_closed = values.get("closed", False)
         if not isinstance(is_closed, bool):
-            message = f"must be true or false, not {excerpt(repr(is_closed))}"
+            message = f"must be true or false, not {value_excerpt(is_closed)}"
             self.record_fault((*location, "closed"), Fault("SCN002", message))
             return None
         points, triangles = (

@@ -319,9 +319,17 @@ def copy_placements(
         if quaternions.shape == (count, 4):
             quaternions = quaternions[:, [1, 2, 3, 0]]
     for name, array, width in (("points", points, 3), ("rotations", quaternions, 4)):
-        if array.shape != (count, width) or not np.isfinite(array).all():
-            message = f"{name} of {model.name!r} have shape {array.shape} or are not "
-            refuse("SIM061", f"{message}finite: they must be {(count, width)}", name)
+        if array.shape != (count, width):
+            message = f"{name} of {model.name!r} have shape {array.shape}, not "
+            hint = None
+            if array.ndim == 2 and array.shape[1] == width:
+                hint = f"give as many {name} as points, of which there are {count}"
+            refuse("SIM061", f"{message}{(count, width)}", name, hint)
+        is_finite = np.isfinite(array).all(axis=1)
+        if not is_finite.all():
+            index = int(np.argmin(is_finite))
+            message = f"{name} of {model.name!r} are not finite at index {index}"
+            refuse("SIM061", message, name)
     if not quaternions.any(axis=1).all():
         message = f"a rotation of {model.name!r} is a zero quaternion"
         refuse("SIM061", message, "rotations")

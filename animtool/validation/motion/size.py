@@ -23,7 +23,7 @@ from animtool.retarget.root_position import (
     low_height_factor,
     root_warning,
 )
-from animtool.retarget.standing import Stance, measure_stance
+from animtool.retarget.standing import UP_AXIS_HINTS, Stance, measure_stance
 from animtool.rig.body_size import (
     MIN_CHARACTER_JOINTS,
     find_feet,
@@ -47,8 +47,6 @@ MAX_STRETCH, MIN_BONE_LENGTH = 0.5, 0.02
 UNIT_FACTOR_TOLERANCE = 0.15
 # Fraction of animated bones that must share one factor [1].
 MIN_SCALED_FRACTION = 0.8
-# How a file states its up axis.
-UP_AXIS_HINTS = {"USD": 'set upAxis = "{}"', "clip": "write up: {} in the rig"}
 # A rig with a larger fraction of finger joints is a hand, not a body [1].
 FINGER_NAMES = re.compile("thumb|index|middle|ring|pinky|finger", re.IGNORECASE)
 MAX_FINGER_FRACTION = 0.8

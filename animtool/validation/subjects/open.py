@@ -42,11 +42,13 @@ if TYPE_CHECKING:
 
 def open_batch(document: Document) -> CheckedFile:
     """Read a batch file; report inputs that match no file."""
+    from animtool.batch.discover import unused_variable_faults
     from animtool.batch.file import parse_batch
     from animtool.batch.inputs import input_faults
 
     batch = parse_batch(document)
-    return CheckedFile(Kind.BATCH, input_faults(batch, document), batch)
+    faults = [*input_faults(batch, document), *unused_variable_faults(batch)]
+    return CheckedFile(Kind.BATCH, faults, batch)
 
 
 def values_of_batches(paths: Iterable[Path]) -> dict[Path, SceneValues]:

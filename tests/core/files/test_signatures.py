@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import bz2
+import gzip
+import lzma
+from collections.abc import Callable
 from pathlib import Path
 from time import process_time
 
@@ -123,3 +127,16 @@ def test_a_head_of_comments_takes_no_time() -> None:
     begin = process_time()
     assert signature_of(head) is None
     assert process_time() - begin < SECONDS
+
+
+@pytest.mark.parametrize(
+    ("name", "compress"),
+    [("gzip", gzip.compress), ("xz", lzma.compress), ("bzip2", bz2.compress)],
+)
+def test_compressed_files_are_named(
+    name: str, compress: Callable[[bytes], bytes]
+) -> None:
+    signature = signature_of(compress(b"HIERARCHY" * 9))
+    assert signature is not None
+    assert name in signature.format_name
+    assert signature.hint.startswith("decompress")

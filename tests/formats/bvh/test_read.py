@@ -518,3 +518,14 @@ def test_an_offset_on_an_axis_without_a_channel_keeps_the_bone(write) -> None:  
             stream = read_bvh(write(text.replace("{side}", side)), unit=unit)
             stream.collect()
             assert ("BVH111" in [n.code for n in stream.notices]) is is_collapsed
+
+
+def test_rows_of_another_take_after_the_frames(tmp_path: Path) -> None:
+    path = tmp_path / "two.bvh"
+    text = f"{MOTION_HEAD}Frames: 1\nFrame Time: .1\n{ROW}\n1 2\n1 2\n"
+    path.write_text(text)
+    with pytest.raises(FormatError) as caught:
+        read_bvh(path).collect()
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("BVH010", (FIRST + 3,))
+    assert "1 frame of the header" in (fault.hint or "")

@@ -426,3 +426,15 @@ def test_short_forms_in_json_and_with_variables(tmp_path: Path) -> None:
     with raises(FormatError, "DOC015") as caught:
         load_scene(path)
     assert caught.value.faults[0].lines == (2,)
+
+
+def test_a_value_of_the_command_line_is_named(shot: Path) -> None:
+    text = shot.read_text()
+    assert "last: 20" in text
+    shot.write_text(text.replace("last: 20", "last: ${end}"))
+    with pytest.raises(FormatError) as caught:
+        load_scene(shot, {"end": "late"})
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path) == ("SCN002", str(shot))
+    assert "variables" in (fault.hint or "")
+    assert "'late'" in (fault.hint or "")
