@@ -42,5 +42,7 @@ def test_every_left_joint_finds_its_right_one() -> None:
             for name in names
             if found[name] != wanted[name]
         ]
-        wrong += [f"{convention}: {names[i]} is a stray" for i in pairs.unpaired]
+        wrong += [
+            f"{convention}: {names[i]} is a stray" for i in pairs.unpaired_indices
+        ]
     assert not wrong

@@ -170,7 +170,7 @@ def test_an_output_that_usd_has_open_is_replaced(walk: Path, tmp_path: Path) -> 
     assert layer.startTimeCode == 5
 
 
-@pytest.mark.parametrize(("step", "code"), [("seal", 130), ("commit", 0)])
+@pytest.mark.parametrize(("step", "code"), [("flush_to_disk", 130), ("commit", 0)])
 def test_a_signal_about_the_naming(
     walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str, code: int
 ) -> None:

@@ -87,14 +87,14 @@ def test_few_files_are_open_at_a_time(
 ) -> None:
     write_pair(tmp_path)
     most = 0
-    closing = chunks.ChunkedWriter._close
+    closing = chunks.ChunkedWriter._close_chunk
 
     def close(self: chunks.ChunkedWriter, number: int) -> None:
         nonlocal most
         most = max(most, len(self._open_chunks))
         closing(self, number)
 
-    monkeypatch.setattr(chunks.ChunkedWriter, "_close", close)
+    monkeypatch.setattr(chunks.ChunkedWriter, "_close_chunk", close)
     monkeypatch.setattr("animtool.scene.bake.deformed_character.CHUNK_FRAMES", 3)
     bake(tmp_path, "many.usdc", "--chunk", 3)
     assert most == 2
@@ -114,7 +114,7 @@ def test_nothing_is_left_where_a_bake_fails(
     def fail(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(chunks.ChunkedWriter, "_author_clips", fail)
+    monkeypatch.setattr(chunks.ChunkedWriter, "_author_clip_metadata", fail)
     assert animtool("bake", *options, cwd=tmp_path).code == 130
     assert sorted(tmp_path.iterdir()) == before
 

@@ -153,7 +153,7 @@ def test_nothing_is_left_where_a_bake_fails(
     def fail(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(chunks.ChunkedWriter, "_author_clips", fail)
+    monkeypatch.setattr(chunks.ChunkedWriter, "_author_clip_metadata", fail)
     assert animtool("bake", *options, cwd=tmp_path).code == 130
     assert sorted(tmp_path.iterdir()) == before
 

@@ -55,7 +55,7 @@ def exchanged_root_warning(
     up = np.array(rig.up.vector, float)
     rest_heights = rest_world(rig).positions[0] @ up
     leg_length = float(rest_heights[0] - rest_heights.min())
-    if leg_length < MIN_LEG_FRACTION * rest_size(rig):
+    if leg_length <= MIN_LEG_FRACTION * rest_size(rig) or not len(rows):
         return []
     values = rows[:, : len(channels)] * rig.meters_per_unit / leg_length
     ranges = np.ptp(rows[:, : len(channels)], axis=0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Callable
 from pathlib import Path
 
@@ -125,3 +126,12 @@ def test_an_offset_with_the_sign_of_the_other_side(
     assert len(found) == (joint is not None)
     for notice in found:
         assert repr(joint) in (notice.hint or "")
+
+
+def test_a_body_without_offsets_has_no_leg_length(tmp_path: Path) -> None:
+    text = re.sub(r"OFFSET .*", "OFFSET 0 0 0", WALK.read_text("utf-8"))
+    path = tmp_path / "a.bvh"
+    path.write_text(text, "utf-8")
+    stream = read_bvh(path)
+    list(stream.blocks)
+    assert "BVH115" not in [notice.code for notice in stream.notices]
