@@ -208,7 +208,7 @@ def find_batch(spec: BatchSpec) -> Batch:
     check_effects(spec, item_task, shots, overrides)
     items = _ItemListBuilder(spec, item_task, shots, common_source, overrides).build()
     _check_roots(spec, items)
-    if spec.path is not None and (fault := shared_output_fault(spec, len(items))):
+    if spec.path is not None and (fault := shared_output_fault(spec, files)):
         raise OptionError(fault)
     options = spec.options
     notices = (*cuts.notices, *overrides.notices)

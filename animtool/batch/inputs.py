@@ -152,22 +152,28 @@ def _matched_inputs(
 def input_faults(spec: BatchSpec, document: Document) -> list[Fault]:
     """Return a warning for each entry without a file, and a fault of the output."""
     files, _, unmatched = _matched_inputs(spec)
-    shared = None if spec.cuts else shared_output_fault(spec, len(files))
+    shared = shared_output_fault(spec, files)
     if shared is None:
         return unmatched
     fault = document.fault(shared.code, ("output",), shared.message, shared.hint)
     return [*unmatched, fault]
 
 
-def shared_output_fault(spec: BatchSpec, item_count: int) -> Fault | None:
-    """Return the fault of one output file for several items (OUT007); else None."""
+def shared_output_fault(spec: BatchSpec, files: Sequence[MatchedFile]) -> Fault | None:
+    """Return the fault of one output file for several inputs (OUT007); else None.
+
+    Shots and variants are compared with their outputs, when these are known.
+    """
     output = spec.output
-    if output is None or item_count < 2 or "{" in output or not Path(output).suffix:
+    is_several = len(files) > 1 and spec.cuts is None and spec.variants is None
+    if output is None or not is_several or "{" in output or not Path(output).suffix:
         return None
-    path = Path(output)
-    example = (path.parent / f"{path.stem}_{{stem}}{path.suffix}").as_posix()
-    message = f"output {output!r} is the same file for {item_count} items"
-    hint = f"use {{stem}}, the name of the input, such as {example!r}"
+    path, stems = Path(output), {file.path.stem for file in files}
+    is_stem_unique = len(stems) == len(files)
+    name = "{stem}" if is_stem_unique else "{parent}_{stem}"
+    example = (path.parent / f"{path.stem}_{name}{path.suffix}").as_posix()
+    message = f"output {output!r} is the same file for {len(files)} inputs"
+    hint = f"name the input in it, such as {example!r}"
     return Fault("OUT007", message, spec.path_text, (), hint)
 
 

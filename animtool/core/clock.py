@@ -21,7 +21,7 @@ MAX_FRAMES = 10_000_000
 MAX_STEP_DENOMINATOR = 10_000
 
 
-# Rates and steps divide seconds and frames less finely.
+# Rates have smaller denominators, or some that are no powers of 2.
 MAX_BINARY_FRACTION = 2**30
 
 
@@ -86,7 +86,9 @@ class Clock:
         faults = []
         for name in ("fps", "start", "step"):
             value = getattr(self, name)
-            if not isinstance(value, Rational) or _is_float(value):
+            is_exact = isinstance(value, Rational)
+            # Starts and steps may be those of a file's floats.
+            if not is_exact or (name == "fps" and _is_float(value)):
                 message = f"{name} is {value!r}, which is not exact"
                 hint = "write a Fraction"
                 is_number = isinstance(value, float | Fraction)

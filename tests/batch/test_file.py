@@ -149,3 +149,18 @@ def test_one_output_of_several_inputs_is_found_by_validate(tmp_path: Path) -> No
             with pytest.raises(OptionError) as refused:
                 find_batch(load_batch(path))
             assert [fault.code for fault in refused.value.faults] == ["OUT007"]
+
+
+def test_the_hint_on_one_output_fits_the_inputs(tmp_path: Path) -> None:
+    for folder in ("a", "b"):
+        take_files(tmp_path / f"takes/{folder}", 1)
+    path = tmp_path / "b.batch.yaml"
+    head = "batch: animtool/1\ninputs: [takes]\noutput: out/one.usdc\n"
+    path.write_text(head)
+    (fault,) = validate([path])
+    assert (fault.code, fault.lines) == ("OUT007", (3,))
+    assert "one_{parent}_{stem}.usdc" in str(fault.hint)
+    # Variants of an input are told apart by another name.
+    path.write_text(f"{head}variants: speeds.csv\n")
+    (tmp_path / "speeds.csv").write_text("speed\n1\n2\n")
+    assert "OUT007" not in [fault.code for fault in validate([path])]

@@ -61,3 +61,8 @@ def test_a_rate_that_is_a_float_names_the_fraction() -> None:
             Clock(fps, Fraction(1), Fraction(1), 5)  # type: ignore[arg-type]
         (fault,) = caught.value.faults
         assert (fault.code, fault.hint) == ("TAKE003", "write Fraction(24000, 1001)")
+
+
+def test_starts_and_steps_may_be_those_of_floats() -> None:
+    clock = Clock(Fraction(24), Fraction(0.1), Fraction(0.4), 2)
+    assert [clock.start, clock.step] == [Fraction(0.1), Fraction(0.4)]
