@@ -151,6 +151,22 @@ def small_fbx() -> list[Tree]:
     ]
 
 
+def with_pose_take(trees: list[Tree]) -> list[Tree]:
+    """Return a small FBX with a take before its own that moves nothing."""
+    still = [
+        ("AnimationStack", [21, "pose\x00\x01AnimStack", ""], [_properties()]),
+        ("AnimationLayer", [22, "base\x00\x01AnimLayer", ""], []),
+        ("AnimationCurveNode", [23, "R\x00\x01AnimCurveNode", ""], [_properties()]),
+        _curve(24, [0.0, 1.0], [5.0, 5.0], 4),
+    ]
+    links = [("OO", 22, 21), ("OO", 23, 22)]
+    links += [("OP", 23, 2, "Lcl Rotation"), ("OP", 24, 23, "d|Z")]
+    objects, connections = trees[-2][2], trees[-1][2]
+    objects[:0] = still
+    connections += [("C", list(link), []) for link in links]
+    return trees
+
+
 def as_binary(
     trees: list[Tree], version: int = 7400, *, inflated: bool = False
 ) -> bytes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from fractions import Fraction
 
@@ -22,6 +22,9 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
 MAX_LISTED_TAKES = 8
+# A take that animates a smaller fraction of the joints than another, such as only a
+# control above the skeleton, is not read by default.
+MIN_JOINT_FRACTION = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +73,23 @@ def choose_take(
     hint = f"read another with {argument('source.take')}: "
     hint += listed(names, MAX_LISTED_TAKES)
     return index, [Fault(messages.skipped_code, message, path, (), hint, Severity.NOTE)]
+
+
+def default_take(joint_counts: Mapping[int, int], preferred: int) -> int:
+    """Return the index of the take to read if none is requested.
+
+    It is the preferred one, unless that animates far fewer joints than another take;
+    then it is the first of those that do not.
+
+    Args:
+        joint_counts: Numbers of animated joints of takes by index, in file order.
+        preferred: Index of the take that the file states or lists first.
+    """
+    min_count = MIN_JOINT_FRACTION * max(joint_counts.values(), default=0)
+    if joint_counts.get(preferred, -1) >= min_count:
+        return preferred
+    indices = (i for i, count in joint_counts.items() if count >= min_count)
+    return next(indices, preferred)
 
 
 def build_sampled_stream(

@@ -10,13 +10,19 @@ from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
 from animtool.formats.characters.names import unique_take_names
-from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
+from animtool.formats.characters.stream import (
+    TakeMessages,
+    choose_take,
+    default_take,
+    finish_stream,
+)
 from animtool.formats.fbx.clip_keys import build_clip
 from animtool.formats.fbx.rig import build_rig, scale_notice
 from animtool.formats.fbx.sampling import (
     FbxSampler,
     animates_rig,
     build_stream,
+    count_animated_joints,
     find_frame_range,
     keys_outside_notice,
     off_frame_keys_notice,
@@ -58,7 +64,7 @@ def read_fbx(
         fps: Frames per second; None is the stated rate.
         prim_path: The character, if the file has several.
         take: Name of the take; None is the take that was current when the file was
-            saved.
+            saved, or the first that animates the joints if that one does not.
     """
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
@@ -71,8 +77,12 @@ def read_fbx(
     candidates = [
         i for i, c in enumerate(scene.takes) if animates_rig(fbx_rig, c, scene)
     ]
+    joint_counts = {
+        i: count_animated_joints(fbx_rig, scene.takes[i], scene) for i in candidates
+    }
+    default_index = default_take(joint_counts, scene.default_take)
     index, take_notes = choose_take(
-        TAKE_MESSAGES, str(path), names, take, candidates, scene.default_take
+        TAKE_MESSAGES, str(path), names, take, candidates, default_index
     )
     anim_take = None if index < 0 else scene.takes[index]
     sampler = FbxSampler(scene, fbx_rig, anim_take)

@@ -268,3 +268,16 @@ def animates_rig(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> bool:
     ids = {scene.models[source.model].object.id for source in fbx_rig.joint_sources}
     ids |= {channel.id for channel, _ in fbx_rig.shape_channels}
     return any(object_id in ids for object_id, _ in take.tracks)
+
+
+def count_animated_joints(fbx_rig: FbxRig, take: AnimTake, scene: FbxScene) -> int:
+    """Return how many joints of a rig move in a take."""
+    animated_ids = {
+        object_id
+        for (object_id, _), track in take.tracks.items()
+        if not all(curve.is_static() for curve in track.curves())
+    }
+    return sum(
+        scene.models[source.model].object.id in animated_ids
+        for source in fbx_rig.joint_sources
+    )

@@ -9,7 +9,12 @@ from animtool.core.errors import Fault, Severity, listed
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.characters.choice import choose_character
-from animtool.formats.characters.stream import TakeMessages, choose_take, finish_stream
+from animtool.formats.characters.stream import (
+    TakeMessages,
+    choose_take,
+    default_take,
+    finish_stream,
+)
 from animtool.formats.gltf.animation_targets import TargetPath
 from animtool.formats.gltf.animations import Animation
 from animtool.formats.gltf.clip_keys import build_clip
@@ -20,6 +25,7 @@ from animtool.formats.gltf.sampling import (
     animates_rig,
     build_sampler,
     build_stream,
+    count_animated_joints,
 )
 from animtool.formats.gltf.timing import find_frame_range, unique_clip_names
 from animtool.motion.take import TakeStream
@@ -56,7 +62,7 @@ def read_gltf(
         up: The up axis; None is Y, as glTF specifies.
         fps: Frames per second; None is the first common rate with all keys on frames.
         prim_path: The character, if the file has several.
-        take: Name of the animation; None is the first.
+        take: Name of the animation; None is the first that animates the joints.
     """
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
@@ -65,12 +71,14 @@ def read_gltf(
     meters = LengthUnit.M if unit is None else unit
     gltf_rig = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
     names = unique_clip_names(gltf.animations)
-    animated_indices = (
-        i for i, a in enumerate(gltf.animations) if animates_rig(gltf_rig, a)
-    )
-    candidates = range(len(names))
+    joint_counts = {
+        i: count_animated_joints(gltf_rig, animation)
+        for i, animation in enumerate(gltf.animations)
+        if animates_rig(gltf_rig, animation)
+    }
+    default_index = default_take(joint_counts, next(iter(joint_counts), 0))
     index, take_notices = choose_take(
-        TAKE_MESSAGES, str(path), names, take, candidates, next(animated_indices, 0)
+        TAKE_MESSAGES, str(path), names, take, range(len(names)), default_index
     )
     animation = None if index < 0 else gltf.animations[index]
     notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *take_notices]

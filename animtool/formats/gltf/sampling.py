@@ -327,3 +327,10 @@ def animates_rig(gltf_rig: GltfRig, animation: Animation) -> bool:
         t.mesh >= 0 or gltf_rig.joint_of_node[t.node] >= 0 or t.node in shape_nodes
         for t in animation.tracks
     )
+
+
+def count_animated_joints(gltf_rig: GltfRig, animation: Animation) -> int:
+    """Return how many joints of a rig have tracks in an animation."""
+    tracks = (track for track in animation.tracks if track.mesh < 0)
+    joints = {int(gltf_rig.joint_of_node[track.node]) for track in tracks}
+    return len(joints - {-1})

@@ -31,6 +31,9 @@ FRAME_TOLERANCE, TIME_PRECISION = 1e-3, 4e-7
 # Key times look like milliseconds if this many keys or more are farther apart than the
 # first spacing, and like frames if all are whole numbers at most the second apart [s].
 MIN_SUSPECT_KEYS, MAX_KEY_SPACING, MAX_FRAME_SPACING = 9, 10.0, 2.0
+# A first key later than this [s], with no more frames after it than before it, is
+# reported.
+MAX_QUIET_START = 1.0
 # Maximum number of animated values of a take, over all frames.
 MAX_TAKE_VALUES = 60_000_000
 
@@ -90,7 +93,26 @@ def find_frame_range(
     notices = _unit_warning(times, path, animation)
     if not _fits_rate(times, rate):
         notices.append(_off_frame_fault(times, rate, path, animation))
+    notices += _late_start_note(animation, rate, start, path)
     return GltfFrames(rate, start, start + first_frame, count, tuple(notices))
+
+
+def _late_start_note(
+    animation: Animation, rate: Fraction, start: Fraction, path: str
+) -> list[Fault]:
+    """Return a note if the pose does not change for most of an animation (GLT122)."""
+    first_time, last_time = animation.span
+    if first_time <= max(MAX_QUIET_START, last_time - first_time):
+        return []
+    first_code, last_code = (
+        float(start) + round(time * float(rate)) for time in (first_time, last_time)
+    )
+    message = f"the first key is at {first_time:.4g} s: frames {float(start):g} to "
+    message += f"{first_code:g} have the same pose"
+    hint = f"{argument('frame_range', f'{first_code:g}-{last_code:g}')} leaves them out"
+    return [
+        Fault("GLT122", message, path, (), hint, Severity.NOTE, where=animation.pointer)
+    ]
 
 
 def _unit_warning(times: FloatArray, path: str, animation: Animation) -> list[Fault]:

@@ -180,6 +180,8 @@ def read_character(
         )
     else:
         _merge_stored_rig(stream, skeletons[0], skeleton, path)
+        if animation is not None and not UsdSkel.Root.Find(skeleton_prim):
+            stream.notices.append(_missing_root_notice(skeleton_prim, animation, path))
     location = PrimLocation.from_prim(path, skeleton_prim or animation_prim)
     stream.rig = apply_recorded_rest(
         stream.rig, skeleton_prim, animation_prim, location
@@ -313,13 +315,19 @@ def _remap_weights(
 
 
 def _bound_animation(skeleton: Any) -> Any:
-    if not UsdSkel.Root.Find(skeleton.GetPrim()):
-        return None
     if source := animation_source(skeleton):
         return UsdSkel.Animation(source)
     # Also return an animation that UsdSkel cannot use, since reading it reports why.
     source = UsdSkel.BindingAPI(skeleton.GetPrim()).GetInheritedAnimationSource()
     return UsdSkel.Animation(source) if source and source.IsActive() else None
+
+
+def _missing_root_notice(prim: Any, animation: Any, path: Path) -> Fault:
+    """Return a warning that USD ignores the animation of a Skeleton."""
+    message = f"{prim.GetPath()} is not in a SkelRoot, so USD viewers ignore its "
+    message += f"animation {animation.GetPath()}; it is read all the same"
+    hint = "make a prim above the Skeleton a SkelRoot"
+    return Fault("USD237", message, str(path), (), hint, Severity.WARNING)
 
 
 def _rest_take(

@@ -21,6 +21,7 @@ from support.fbx import (
     small_5000,
     small_6100,
     small_fbx,
+    with_pose_take,
 )
 
 from animtool.core.errors import FormatError, OptionError, Severity
@@ -89,6 +90,15 @@ def test_the_arm_bends_as_its_layers_say(
     np.testing.assert_allclose(angles, expected, atol=1e-6)
     assert take.motion.weights is not None
     np.testing.assert_allclose(take.motion.weights.rest, 0.25)
+
+
+def test_a_take_that_moves_nothing_is_not_the_default(tmp_path: Path) -> None:
+    path = written(tmp_path, as_binary(with_pose_take(small_fbx())))
+    stream = read_fbx(path)
+    assert stream.details["takes"] == ["pose", "bend"]
+    assert stream.details["take"] == "bend"
+    assert "FBX122" in {notice.code for notice in stream.notices}
+    assert read_fbx(path, take="pose").details["take"] == "pose"
 
 
 @pytest.mark.parametrize("form", [as_text, as_binary])

@@ -76,6 +76,35 @@ def test_the_clip_is_chosen(plain: Path) -> None:
         read_gltf(plain, take="wav")
 
 
+def test_a_clip_that_starts_late_is_named(tmp_path: Path) -> None:
+    for first, expected in ((0.5, set()), (40.0, {"GLT122"})):
+        gltf, times = Maker(), first + np.array([0.0, 0.5, 1.0])
+        joints = chain(gltf, ["hips", "chest"])
+        rows = turned(2, 0, 50, 10)
+        gltf.animation("nod", (joints[1], "rotation", "LINEAR", times, rows))
+        gltf.json["scenes"] = [{"nodes": joints[:1]}]
+        path = tmp_path / f"{first:g}.glb"
+        path.write_bytes(as_glb(*gltf.done()))
+        stream = read_gltf(path)
+        assert codes(stream) & {"GLT122"} == expected
+        assert stream.collect().clock.count == int((first + 1.0) * 24) + 1
+
+
+def test_a_clip_of_a_control_alone_is_not_the_default(tmp_path: Path) -> None:
+    gltf, times = Maker(), np.array([0.0, 0.5, 1.0])
+    joints = chain(gltf, [f"bone_{k}" for k in range(7)])
+    gltf.animation("place", (joints[0], "translation", "LINEAR", times, np.eye(3)))
+    rotations = turned(2, 0, 50, 10)
+    gltf.animation(
+        "run", *((j, "rotation", "LINEAR", times, rotations) for j in joints)
+    )
+    gltf.json["scenes"] = [{"nodes": joints[:1]}]
+    path = tmp_path / "snake.glb"
+    path.write_bytes(as_glb(*gltf.done()))
+    assert read_gltf(path).details["take"] == "run"
+    assert read_gltf(path, take="place").details["take"] == "place"
+
+
 def test_the_character_is_chosen(tmp_path: Path) -> None:
     path = write_small(tmp_path / "two.glb", "skins")
     # The whole scene's first one, and its own clip.

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 from pxr import Gf, Sdf, Usd, UsdGeom, UsdSkel, Vt
 from support.bvh import TIP, random_rows, small_bvh
 from support.cli import animtool
@@ -449,6 +449,22 @@ def test_a_binding_without_its_schema_is_named(tmp_path: Path) -> None:
     for text in ("/hero/Rig/Skel", "SkelBindingAPI"):
         assert text in notice.message
     assert stream.collect().clock.count == 1
+
+
+def test_an_animation_outside_a_skel_root_is_read(tmp_path: Path) -> None:
+    path = author_samples(tmp_path / "take.usda", [1.0, 2.0, 3.0])
+    expected = read_usd(path).collect()
+    layer = Sdf.Layer.FindOrOpen(str(path))
+    layer.GetPrimAtPath("/hero/Rig").typeName = "Xform"
+    layer.Save()
+    stream = read_usd(path)
+    (notice,) = stream.notices
+    assert notice.code == "USD237"
+    take = stream.collect()
+    assert take.clock == expected.clock
+    assert_array_equal(
+        take.motion.translations.dense(), expected.motion.translations.dense()
+    )
 
 
 def test_a_binding_to_a_prim_that_does_not_exist_is_named(tmp_path: Path) -> None:
