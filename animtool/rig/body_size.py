@@ -81,15 +81,20 @@ def size_warning_texts(
     """
     size_texts = length_text(size, 4), length_text(size * likely_unit / unit, 4)
     name, fitting_name = unit_name(unit), unit_name(likely_unit)
-    condition = f"if its numbers are in {fitting_name}"
-    if file_format == "USD":
-        message = f"metersPerUnit = {unit:g}: the character spans {size_texts[0]}; at "
-        message += f"metersPerUnit = {likely_unit:g} it would span {size_texts[1]}"
-        return message, f"{condition}, set metersPerUnit = {likely_unit:g} in the file"
-    message = f"the character spans {size_texts[0]}, with lengths in {name}; in "
-    message += f"{fitting_name} it would span {size_texts[1]}"
+    if name not in set(LengthUnit):
+        name = f"units of {name}"
+    is_usd = file_format == "USD"
+    message = f"metersPerUnit = {unit:g}: " if is_usd else ""
+    message += f"the character spans {size_texts[0]}"
+    message += "; " if is_usd else f", with lengths in {name}; "
     if fitting_name not in set(LengthUnit):
-        return message, "export it again at its true size"
+        message += f"at {likely_unit / unit:g} times the size it would span "
+        return message + size_texts[1], "export it again at its true size"
+    condition = f"if its numbers are in {fitting_name}"
+    message += f"at metersPerUnit = {likely_unit:g}" if is_usd else f"in {fitting_name}"
+    message += f" it would span {size_texts[1]}"
+    if is_usd:
+        return message, f"{condition}, set metersPerUnit = {likely_unit:g} in the file"
     if file_format == "clip":
         remedy = f"write units: {{length: {fitting_name}}} in the rig"
         return message, f"{condition}, {remedy}"
