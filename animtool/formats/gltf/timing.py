@@ -34,6 +34,8 @@ MIN_SUSPECT_KEYS, MAX_KEY_SPACING, MAX_FRAME_SPACING = 9, 10.0, 2.0
 # A first key later than this [s], with no more frames after it than before it, is
 # reported.
 MAX_QUIET_START = 1.0
+# Highest rate of evenly spaced keys that a note suggests [frame/s].
+MAX_KEY_RATE = 1000.0
 # Maximum number of animated values of a take, over all frames.
 MAX_TAKE_VALUES = 60_000_000
 
@@ -170,9 +172,28 @@ def _off_frame_fault(
     message = f"{int(is_off_frame.sum())} of {len(times)} key times fall between the "
     message += f"frames at {rate_label(rate)}; the last key is at {times[-1]:.6g} s"
     hint = f"set another rate with {argument('source.fps')}"
+    if key_rate := _rate_of_keys(times):
+        rate_text = f"{float(key_rate):.7g}"
+        hint = f"{argument('source.fps', rate_text)} puts all keys on frames"
     return Fault(
         "GLT110", message, path, (), hint, Severity.NOTE, where=animation.pointer
     )
+
+
+def _rate_of_keys(times: FloatArray) -> Fraction | None:
+    """Return the rate at which evenly spaced keys are on frames; None if they are not.
+
+    >>> _rate_of_keys(np.array([10.0, 11.0, 14.0]) / 24.024)
+    Fraction(3003, 125)
+    """
+    spacing = float(np.diff(times).min()) if len(times) > 1 else 0.0
+    if not spacing * MAX_KEY_RATE > 1.0:
+        return None
+    last_frame = round(times[-1] / spacing)
+    if last_frame < 1:
+        return None
+    rate = Fraction(last_frame / float(times[-1])).limit_denominator(1001)
+    return rate if rate and _fits_rate(times, rate) else None
 
 
 def _recorded_timing(extras: dict[str, Any]) -> tuple[Fraction | None, Fraction]:

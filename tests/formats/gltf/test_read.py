@@ -90,6 +90,20 @@ def test_a_clip_that_starts_late_is_named(tmp_path: Path) -> None:
         assert stream.collect().clock.count == int((first + 1.0) * 24) + 1
 
 
+def test_the_rate_of_even_keys_off_frames_is_named(tmp_path: Path) -> None:
+    gltf = Maker()
+    (joint,) = chain(gltf, ["arm"])
+    times, rows = np.arange(10.0, 14.0) / 24.024, turned(2, 0, 10, 20, 60)
+    gltf.animation("wave", (joint, "rotation", "LINEAR", times, rows))
+    gltf.json["scenes"] = [{"nodes": [joint]}]
+    path = tmp_path / "odd.glb"
+    path.write_bytes(as_glb(*gltf.done()))
+    stream = read_gltf(path)
+    (notice,) = [n for n in stream.notices if n.code == "GLT110"]
+    assert "24.024" in str(notice.hint)
+    assert "GLT110" not in codes(read_gltf(path, fps="24.024"))
+
+
 def test_a_clip_of_a_control_alone_is_not_the_default(tmp_path: Path) -> None:
     gltf, times = Maker(), np.array([0.0, 0.5, 1.0])
     joints = chain(gltf, [f"bone_{k}" for k in range(7)])
