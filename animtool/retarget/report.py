@@ -217,13 +217,13 @@ class FitMeter:
         self._angle_statistics = angle_sum, angle_count, largest_angle
         self._add_score("limbs", angle_sums / np.maximum(angle_counts, 1))
 
-    def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
+    def _is_heel_raised(self, foot_index: int, ankle: FloatArray) -> BoolArray:
         """Return a mask of frames in which limits lift a planted heel ``(F,)``."""
         placed_feet = self._contact_frames.placed_feet
-        contacts = self._contact_frames.contacts[k]
+        contacts = self._contact_frames.contacts[foot_index]
         if placed_feet is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
-        heel_distance = np.linalg.norm(ankle - placed_feet.ankles[k], axis=1)
+        heel_distance = np.linalg.norm(ankle - placed_feet.ankles[foot_index], axis=1)
         min_distance = MIN_HEEL_ERROR * self._transfer.target.size
         return np.asarray(contacts.toe & (heel_distance > min_distance))
 

@@ -285,7 +285,7 @@ class SceneRenderer:
     def _has_surfaces(self) -> bool:
         """Whether any mesh or instance is shown, not just bones."""
         return "meshes" in self._shown_layers and any(
-            mesh.pose is not None or mesh.record.get("cache") is not None
+            mesh.pose is not None or mesh.manifest_entry.get("cache") is not None
             for mesh in self._meshes
         )
 

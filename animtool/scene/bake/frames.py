@@ -173,8 +173,8 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
         )
     if plan.options.start is None and frames.last - frames.first <= span:
         start = argument("start", frames.first)
-        range_text = f"{start} numbers the first frame of the take {frames.first}"
-        return clause(range_text) or None
+        hint = f"{start} numbers the first frame of the take {frames.first}"
+        return clause(hint) or None
     return None
 
 
@@ -292,8 +292,8 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Return notices if the take's last frame or an end of a range is not written."""
     frame_range = plan.options.frame_range
     notices = []
-    if times.dropped_at_end:
-        note = dropped_notice(times.dropped_at_end, plan.fps, times.last)
+    if times.dropped_duration_at_end:
+        note = dropped_notice(times.dropped_duration_at_end, plan.fps, times.last)
         hint = f"{argument('keep_samples', True)} writes it"
         notices.append(replace(note, hint=hint))
     if frame_range is None or plan.options.shot is not None:

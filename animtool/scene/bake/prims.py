@@ -152,9 +152,7 @@ def take_report(
         meshes=list(meshes),
         simulated=list(stream.simulated),
         scores=list(stream.scores),
-        between_frames=0
-        if sample_times is None
-        else sample_times.dropped_between_frames,
+        between_frames=0 if sample_times is None else sample_times.dropped_sample_count,
     )
 
 

@@ -68,7 +68,7 @@ class Integrator:
         control: How the step size is chosen.
         step: Function of one step; None for SciPy's solvers.
         limit: Largest stable step; None if the method controls its steps itself.
-        growth: Coefficients of the stability polynomial R, ascending: a step multiplies
+        stability_polynomial: Coefficients of R, ascending: a step multiplies
             ``y' = λ y`` by R(h λ). Empty unless the method is explicit and uses rates.
         drag_order: Order if accelerations depend on velocities; None is `order`.
         evaluations: Evaluations of rates or accelerations in a step; None if it varies.
@@ -89,7 +89,7 @@ class Integrator:
     control: StepControl = StepControl.FIXED
     step: StepFunction | None = None
     limit: Limit | None = None
-    growth: tuple[float, ...] = ()
+    stability_polynomial: tuple[float, ...] = ()
     drag_order: int | None = None
     evaluations: int | None = None
     error_order: int = 0

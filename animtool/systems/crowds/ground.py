@@ -151,21 +151,21 @@ class Terrain:
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
         """Low corner of the grid, cell size, cell counts, and triangles by cell."""
-        positions = self._nonvertical_triangles[..., [0, 2]]
-        low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
-        cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(positions)))))
+        triangles_xz = self._nonvertical_triangles[..., [0, 2]]
+        low, high = triangles_xz.min(axis=(0, 1)), triangles_xz.max(axis=(0, 1))
+        cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(triangles_xz)))))
         counts = np.array([cells_per_axis, cells_per_axis])
         cell_size = np.maximum((high - low) / counts, np.finfo(float).tiny)
         first_cells, last_cells = (
             np.clip(coordinates.astype(np.int64), 0, cells_per_axis - 1)
             for coordinates in (
-                (positions.min(axis=1) - low) / cell_size - EDGE_TOLERANCE,
-                (positions.max(axis=1) - low) / cell_size + EDGE_TOLERANCE,
+                (triangles_xz.min(axis=1) - low) / cell_size - EDGE_TOLERANCE,
+                (triangles_xz.max(axis=1) - low) / cell_size + EDGE_TOLERANCE,
             )
         )
         cell_spans = last_cells - first_cells + 1
         cell_counts = cell_spans.prod(axis=1)
-        faces = np.repeat(np.arange(len(positions)), cell_counts)
+        faces = np.repeat(np.arange(len(triangles_xz)), cell_counts)
         k = np.arange(len(faces)) - _group_starts(cell_counts)
         width = cell_spans[faces, 1]
         cells = (

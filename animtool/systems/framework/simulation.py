@@ -204,9 +204,12 @@ def field_set_later(*record_types: type[Any]) -> dict[str, Any]:
     return {"later": record_types}
 
 
-def field_added_later() -> dict[str, Any]:
-    """Mark a field that older state files lack; it keeps its initial value then."""
-    return {"added": True}
+def field_added_later(saved_name: str = "") -> dict[str, Any]:
+    """Mark a field that older state files lack; it keeps its initial value then.
+
+    ``saved_name`` is its name in the files, if it differs.
+    """
+    return {"added": True, "saved_name": saved_name}
 
 
 class StoppedError(ToleranceError):

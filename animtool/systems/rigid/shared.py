@@ -41,9 +41,9 @@ class RigidState:
     awake: int = 0  # number of bodies that are awake
     residual: float = 0.0  # change of velocities in the last iteration [m/s]
     # Largest step that resolves the fastest oscillating drive [s].
-    follows: float = field(default=0.0, metadata=field_added_later())
+    max_drive_step: float = field(default=0.0, metadata=field_added_later("follows"))
     # Joint of that drive; -1 is none.
-    swinging: int = field(default=-1, metadata=field_added_later())
+    fastest_drive_joint: int = field(default=-1, metadata=field_added_later("swinging"))
 
 
 class RigidStates:

@@ -169,7 +169,7 @@ class UsdTake:
     rig_from_take: Callable[[FloatArray], Placement] | None = None
     is_reduced: bool = False  # whether redundant samples are removed
     # Recorded rest placement; empty without one, or if a rig layer has it.
-    rest_record: Mapping[str, Any] = field(default_factory=dict)
+    rest_metadata: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)

@@ -48,7 +48,7 @@ def open_gltf(path: Path) -> CheckedFile:
     record_input(path)
     gltf = open_document(path)
     checked_file = check_characters(Kind.GLTF, gltf, build_rig, _clip_subjects)
-    checked_file.faults[:0] = gltf.notes.notices
+    checked_file.faults[:0] = gltf.diagnostics.notices
     return checked_file
 
 

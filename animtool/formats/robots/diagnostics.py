@@ -20,7 +20,7 @@ _NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(slots=True, eq=False)
-class XmlNotes:
+class XmlDiagnostics:
     """Faults and notices of a robot's file, collected while it is read."""
 
     path: Path  # path of the file
