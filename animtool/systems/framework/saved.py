@@ -265,7 +265,7 @@ def _items_of(state: Any) -> Iterator[tuple[str, str, Any]]:
 
 
 def _saved_name(state_field: Field[Any]) -> str:
-    return state_field.metadata.get("saved_name") or state_field.name
+    return str(state_field.metadata.get("saved_name", state_field.name))
 
 
 def _restore(

@@ -204,12 +204,14 @@ def field_set_later(*record_types: type[Any]) -> dict[str, Any]:
     return {"later": record_types}
 
 
-def field_added_later(saved_name: str = "") -> dict[str, Any]:
-    """Mark a field that older state files lack; it keeps its initial value then.
+def field_added_later() -> dict[str, Any]:
+    """Mark a field that older state files lack; it keeps its initial value then."""
+    return {"added": True}
 
-    ``saved_name`` is its name in the files, if it differs.
-    """
-    return {"added": True, "saved_name": saved_name}
+
+def saved_as(name: str) -> dict[str, Any]:
+    """Mark a field that has another name in state files."""
+    return {"saved_name": name}
 
 
 class StoppedError(ToleranceError):

@@ -381,7 +381,7 @@ def _animated_take(
     ancestors = [] if prim is None else animated_ancestors(prim)
     codes = animation_motion.clock.times.tolist()
     ancestor_codes = nearest_samples(
-        sample_times(ancestors), codes, animation_motion.drift
+        sample_times(ancestors), codes, animation_motion.max_time_offset
     )
     rig = skeleton.rig
     placement, notices = _find_placement(

@@ -17,7 +17,7 @@ _VECTOR = Range("three finite numbers", "SIM022", -math.inf, finite=True, count=
 Vector: TypeAlias = Annotated[tuple[float, float, float], _VECTOR]
 AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _VECTOR]
 Finite: TypeAlias = Annotated[float, Range("finite", "SIM022", -math.inf, finite=True)]
-NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
+NonNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
 Positive: TypeAlias = Annotated[
     float, Range("above 0", "SIM022", 0.0, includes_minimum=False, finite=True)
 ]
