@@ -242,8 +242,8 @@ def _swing_poses(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(K, 4)`` and ankle offsets ``(K, 3)`` of swinging feet.
 
-    These are for foot ``foot_index`` of the bodies in which it swings. Swings start at the
-    pose of the last stance, as feet may lift earlier than in the gait.
+    These are for one foot of the bodies in which it swings. Swings start at the pose
+    of the last stance, as feet may lift earlier than in the gait.
     """
     swings = np.clip(state.swings[is_swinging, foot_index], 0.0, 1.0)
     foot_rotations, ankle_offsets = _gait_swing(
