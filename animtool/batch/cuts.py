@@ -185,7 +185,7 @@ class _CutReader:
         return visitor
 
     def load_timeline(self) -> Any:
-        """Read the timeline, its rate and its metadata; return None without events."""
+        """Read the timeline, its rate and metadata; return None if it has no events."""
         import_otio()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)

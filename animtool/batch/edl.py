@@ -195,7 +195,7 @@ class TimelineBuilder:
         return timeline, self.notices
 
     def event_times(self, event: Event) -> _EventTimes | None:
-        """Return the times of an event; None with a fault if they are invalid."""
+        """Return the times of an event, or None after recording a fault."""
         try:
             frames = [self.parse_frame(text) for text in event.times]
         except ValueError as error:

@@ -269,7 +269,7 @@ class _BatchReader:
         return text
 
     def _variants(self) -> Variants | None:
-        """Return the variants; None without any, or with faults."""
+        """Return the variants; None if there are none, or after recording faults."""
         variants = self.model.variants
         if not variants:
             if "variants" in self.model.model_fields_set:

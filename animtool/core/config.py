@@ -88,7 +88,7 @@ class Config:
     validate: Mapping[str, Any] = field(default_factory=dict)
     # Maximum size read from one archive of arrays [MB]; None for 1000.
     max_array_mb: int | None = None
-    path: Path | None = None  # the settings file; None without one
+    path: Path | None = None  # the settings file; None if there is none
     timeline: TimelineConfig = TimelineConfig()
 
 
@@ -221,7 +221,7 @@ def project_roots(path: Path) -> tuple[Path, ...]:
 
 
 def _version_control_root(folder: Path) -> Path | None:
-    """Return the nearest folder under version control; None without one.
+    """Return the nearest folder under version control; None if there is none.
 
     A home folder or file system root under version control is no project, since its
     files come from anywhere.
@@ -235,7 +235,7 @@ def _version_control_root(folder: Path) -> Path | None:
 
 
 def innermost_project(folder: Path, target: Path) -> Path | None:
-    """Return the innermost project that contains both paths; None without one."""
+    """Return the innermost project that contains both paths; None if there is none."""
     for folder_above in (folder, *folder.parents):
         if target.is_relative_to(folder_above):
             return folder_above if _may_be_project(folder_above) else None

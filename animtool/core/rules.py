@@ -87,7 +87,7 @@ class Rule:
 
     @property
     def kinds(self) -> frozenset[Kind]:
-        """Kinds of the files that the rule validates; empty without a check."""
+        """Kinds of the files that the rule validates; empty if it has no check."""
         if self.kind is None:
             return frozenset()
         return frozenset([self.kind]) if isinstance(self.kind, Kind) else self.kind

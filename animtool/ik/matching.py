@@ -112,7 +112,7 @@ class _BendingLimb:
         length: Length of its bones at rest [m].
         default_side: Default side of the middle joint in the root joint's frame, used
             where no pose determines it ``(3,)``.
-        hinge_axis: Axis of the middle joint in its frame ``(3,)``; 0 without a hinge.
+        hinge_axis: Axis of the middle joint in its frame ``(3,)``; 0 if no hinge.
     """
 
     root: int

@@ -167,7 +167,7 @@ class Take:
         return self.clock.count
 
     def __bool__(self) -> bool:
-        """Return True, even without frames."""
+        """Return True: a take is true even if it has no frames."""
         return True
 
     def world(self) -> WorldTransforms:

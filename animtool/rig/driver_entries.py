@@ -27,9 +27,9 @@ def read_driver(
     units: tuple[float, float],
     value_unit: float,
 ) -> Driver | None:
-    """Return the driver of an entry; None with a fault. Inputs are checked later.
+    """Return the driver of an entry, or None after recording a fault.
 
-    ``units``: the file's length [m] and angle [rad]; ``value_unit``: unit of its value.
+    Inputs are checked later. ``units``: the file's length [m] and angle [rad]; ``value_unit``: unit of its value.
     """
     if (model.expr is None) == (model.curve is None):
         message = "has both expr and curve" if model.expr else "has no expr or curve"

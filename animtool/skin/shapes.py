@@ -63,7 +63,7 @@ class PreparedShapes:
     # Weights at which each shape has offsets, 0 and 1 included, ascending.
     knots: tuple[FloatArray, ...]
     points: _Columns  # columns of the points: one per shape and knot, except knot 0
-    normals: _Columns | None  # columns of the normals; None without normals
+    normals: _Columns | None  # columns of the normals; None if it has none
 
     @property
     def vertex_count(self) -> int:
@@ -79,7 +79,7 @@ def prepare_shapes(
     Args:
         shapes: Blend shapes of the mesh.
         points: Points at rest ``(V, 3)``.
-        normals: Normals at rest ``(V, 3)``; None without normals.
+        normals: Normals at rest ``(V, 3)``; None if it has none.
 
     >>> smile = SurfaceShape("smile", np.array([[0.0, 2.0, 0.0]]), np.array([1]))
     >>> shapes = prepare_shapes([smile], np.zeros((2, 3)))

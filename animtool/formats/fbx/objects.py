@@ -103,7 +103,7 @@ def read_vector(
 def read_scalar(
     owner: FbxObject, name: str, default: float, diagnostics: FileDiagnostics
 ) -> float:
-    """Return a scalar property, or the default without one."""
+    """Return a scalar property, or the default if it is missing."""
     return read_vector(owner, name, (default,), diagnostics)[0]
 
 

@@ -148,7 +148,7 @@ class Animation:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Times of first and last key [s]; 0 without keys."""
+        """Times of first and last key [s]; 0 if there are no keys."""
         if not self.tracks:
             return 0.0, 0.0
         first = min(float(track.times[0]) for track in self.tracks)

@@ -44,7 +44,7 @@ class MorphTarget:
 class Primitive:
     """A primitive of a mesh: accessor indices of its vertices."""
 
-    position: int  # -1 without points
+    position: int  # -1 if there are no points
     normal: int
     joints: tuple[int, ...]
     weights: tuple[int, ...]

@@ -152,7 +152,7 @@ def _decompose_matrix(
 def read_scenes(
     json_root: JsonItem, nodes: tuple[Node, ...]
 ) -> tuple[list[list[int]], int]:
-    """Return the root nodes of each scene, and the default scene, -1 without one."""
+    """Return the root nodes of each scene, and the default scene or -1."""
     scenes = []
     for item in json_root.children("scenes"):
         scene_nodes = item.indices("nodes", len(nodes), "node")

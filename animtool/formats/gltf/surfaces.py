@@ -109,7 +109,7 @@ def shared_vertices(gltf: Gltf, node: int) -> list[SharedVertices]:
 
 
 def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | None:
-    """Return the mesh of a node; None without faces."""
+    """Return the mesh of a node; None if it has no faces."""
     vertex_sets = shared_vertices(gltf, node)
     first_vertices = {v.primitive.vertex_key: v.first_vertex for v in vertex_sets}
     faces = []

@@ -240,7 +240,7 @@ def _check_range(element: XmlElement, value: str, diagnostics: XmlDiagnostics) -
 
 
 def named_element_label(element: XmlElement) -> str | None:
-    """Return the label of a named element for messages; None without a name."""
+    """Return the label of a named element for messages; None if it has no name."""
     name = element.attributes.get("name")
     return None if name is None else element_label(element.tag, name)
 

@@ -113,7 +113,7 @@ def find_single_child(
     *,
     is_required: bool = False,
 ) -> XmlElement | None:
-    """Return the only child with a tag; None without one, a fault if required."""
+    """Return the only child with a tag, or None; record a fault if it is required."""
     elements = element.find_all(tag)
     if any(child.attributes != elements[0].attributes for child in elements):
         message = f"<{tag}> is given {len(elements)} times with different values"
@@ -143,7 +143,7 @@ def require_text(
 def read_pose(
     element: XmlElement, location: str, diagnostics: XmlDiagnostics
 ) -> tuple[Vector, Quaternion]:
-    """Return position [m] and rotation of an element's origin; identity without one."""
+    """Return position [m] and rotation of an element's origin, by default identity."""
     origin = find_single_child(element, "origin", location, diagnostics)
     if origin is None:
         return ORIGIN, (0.0, 0.0, 0.0, 1.0)

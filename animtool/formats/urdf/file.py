@@ -351,7 +351,7 @@ def _read_visual(
 def _read_mass(
     inertial: XmlElement, location: str, diagnostics: XmlDiagnostics
 ) -> LinkMass | None:
-    """Return a link's mass; None without one and, with a warning, if impossible."""
+    """Return a link's mass; None if missing or, with a warning, impossible."""
     position, rotation = read_pose(inertial, location, diagnostics)
     fault_count = len(diagnostics.faults)
     mass_element = find_single_child(inertial, "mass", location, diagnostics)

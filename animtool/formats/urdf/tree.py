@@ -42,7 +42,7 @@ def check_tree(file: UrdfFile, diagnostics: XmlDiagnostics) -> None:
 
 
 def _cycle_through(joint: UrdfJoint, parent_joints: dict[str, UrdfJoint]) -> list[str]:
-    """Return the joints of a cycle through a joint's child; empty without a cycle."""
+    """Return the joints of a cycle through a joint's child; empty if there is none."""
     names, link = [joint.name], joint.parent
     visited_links: set[str] = set()
     while link in parent_joints and link not in visited_links:

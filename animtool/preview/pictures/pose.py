@@ -113,7 +113,7 @@ class PosedTake:
         return list(dict.fromkeys([self.root, *feet]))
 
     def sample_values(self, stream: int | None, sample: int) -> FloatArray | None:
-        """Return a stream's values at a page sample; None without a stream."""
+        """Return a stream's values at a page sample; None if there is no stream."""
         if stream is None:
             return None
         return self._streams.sample_values(stream, sample - self.first_sample)

@@ -79,7 +79,7 @@ def picture_size(
 
 
 def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
-    """Return the number of columns and rows of a sheet; None without a sheet."""
+    """Return the number of columns and rows of a requested sheet, or None."""
     if options.sheet is None:
         return None
     columns, rows = _parse_pair(options.sheet, "sheet", "4x3")

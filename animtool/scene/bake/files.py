@@ -52,7 +52,7 @@ class ConvertReport:
     keyed_take: KeyedTake | None = None
     # Every file written, ``output`` last.
     files: list[Path] = field(default_factory=list)
-    shot: Shot | None = None  # written shot; None without one
+    shot: Shot | None = None  # written shot; None if there is none
     # Scores of the source's passes.
     scores: list[PassScores] = field(default_factory=list)
     command: str = "convert"  # kind of the report

@@ -41,7 +41,7 @@ class OutputEntry:
 
     path: Path  # the file to write, or `STDOUT`
     options: BakeOptions  # options of the bake, with those of the scene
-    # The scene, with only the systems of this output; None without a scene.
+    # The scene, with only the systems of this output; None if there is no scene.
     scene: Scene | None = None
     # Location of the output in the scene file, if the scene names it.
     location: EntryLocation | None = None

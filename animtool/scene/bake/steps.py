@@ -44,7 +44,7 @@ class PlanStep:
 
     kind: StepKind  # kind of step
     name: str  # name of a file or a pass
-    where: str  # key of its entry in the scene; empty without one
+    where: str  # key of its entry in the scene; empty if it has none
     reads: tuple[str, ...]  # its inputs: files, and parts of the take
     makes: tuple[str, ...]  # its results
     left_out: tuple[str, ...] = ()  # omitted parts, each with the reason

@@ -132,7 +132,7 @@ def _expand_short_forms(document: Document) -> None:
 
 
 def stated_rate(path: Path) -> Fraction | None:
-    """Return the rate that a scene file states as a number; None without one."""
+    """Return the rate that a scene file states as a number; None if it states none."""
     document = read_document(path).value
     fps = document.get("fps") if isinstance(document, dict) else None
     try:

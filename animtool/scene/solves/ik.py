@@ -92,7 +92,7 @@ class IkJob:
 
     @property
     def solved_output(self) -> SolvedOutput:
-        """Where to write the solved take; nothing without an output."""
+        """Where to write the solved take; empty if there is no output."""
         source = self.targets if self.start is None else self.start
         rig = _named_rig(self.rig, self.output)
         return SolvedOutput.of(self.output, source, self.bake, rig)

@@ -405,7 +405,7 @@ class EntryReader:
         return values if reason is None else None
 
     def input(self, location: Location, name: str) -> Path | None:
-        """Return a file to read; None with a fault if it is missing."""
+        """Return a file to read, or None after recording that it is missing."""
         path = resolve_input(self.document, location, name, self.roots)
         self.is_valid &= path is not None
         return path

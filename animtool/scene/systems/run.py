@@ -136,7 +136,7 @@ class SystemRun:
         )
 
     def _system_progress(self, last: float) -> SystemProgress | None:
-        """Return the progress callbacks of the systems; None without progress."""
+        """Return the progress callbacks of the systems; None if none is shown."""
         if self._phases is None:
             return None
 

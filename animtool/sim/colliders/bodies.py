@@ -96,7 +96,7 @@ class Wrenches:
 def body_owners(
     bodies: Sequence[MovingBodies], static_count: int
 ) -> npt.NDArray[np.int32]:
-    """Return the body index of each collider ``(C,)``; -1 without a body.
+    """Return the body index of each collider ``(C,)``; -1 if it has no body.
 
     The first ``static_count`` colliders have no body. Bodies are numbered across all
     systems.

@@ -32,7 +32,7 @@ class Tableau:
         tuple[float, ...], ...
     ]  # weights of the previous stages, S tuples
     weights: tuple[float, ...]  # weights of the stages ``(S,)``
-    # Error weights ``(S,)``; empty without an embedded estimate.
+    # Error weights ``(S,)``; empty if it has no embedded estimate.
     error_weights: tuple[float, ...] = ()
 
     def step(

@@ -44,7 +44,7 @@ class StepResult:
 
     state: FloatArray  # state after the step
     memory: object = None  # data for the next step
-    # Error estimate in the state's shape; None without an estimate.
+    # Error estimate in the state's shape; None if there is no estimate.
     error: FloatArray | None = None
 
 
@@ -73,7 +73,7 @@ class Integrator:
         drag_order: Order if accelerations depend on velocities; None is `order`.
         evaluations: Evaluations of rates or accelerations in a step; None if it varies.
         error_order: Power of the step size to which the error estimate is proportional;
-            0 without an estimate.
+            0 if there is no estimate.
         is_multistep: Whether a step uses previous steps.
         is_implicit: Whether a step solves equations.
         is_symplectic: Whether it preserves phase-space area: the energy of systems

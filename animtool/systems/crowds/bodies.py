@@ -309,7 +309,7 @@ class AgentBodies(Footing):
     def _reaction_times(
         self, reacts: FloatArray, dt: float, is_hit: BoolArray | None
     ) -> FloatArray:
-        """Return the time since each reaction began ``(N,)`` [s]; -1 without one."""
+        """Return the time since each reaction began ``(N,)`` [s], or -1."""
         if not self.gaits.reactions:
             return reacts
         period = self.gaits.reactions[0].period

@@ -69,7 +69,7 @@ class CrowdState:
     headings: FloatArray  # angles about up; 0 is along z (N,) [rad]
     progress: Progress
     overlap: float  # largest overlap of two agents so far [m]
-    bodies: BodyState | None  # body states; None without bodies
+    bodies: BodyState | None  # body states; None if agents have no bodies
     falls: Falls | None  # falls so far; None if no agent can fall
 
 

@@ -78,7 +78,7 @@ class GroundFrame:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height field of triangles seen from above; a plane at height 0 without any."""
+    """Height field of triangles seen from above; the plane y = 0 if there are none."""
 
     # Corners of triangles, in the frame of the ground (T, 3, 3) [m].
     triangles: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))

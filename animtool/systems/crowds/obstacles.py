@@ -210,8 +210,8 @@ def navigation_grids(
 ) -> tuple[NavGrid | None, NavGrid | None]:
     """Return a grid of walkable nodes, and a grid of all nodes on the ground.
 
-    The first is None without obstacles, the second if the ground is infinite. If agents
-    are too far apart for one grid, it covers the surroundings of obstacles only.
+    The first is None if there are no obstacles, the second if the ground is infinite.
+    If agents are too far apart for one grid, it covers the surroundings of obstacles only.
     """
     static_obstacles = [collider for collider in colliders if collider.poses.is_fixed]
     if ground.is_plane and not static_obstacles:

@@ -47,13 +47,13 @@ class Steering:
     agents: Agents
     goals: Sequence[CrowdGoalModel]
     goal_points: FloatArray  # x and z of each goal (G, 2) [m]
-    # Offset between positions of a goal's queue (G, 2) [m]; 0 without a queue.
+    # Offset between positions of a goal's queue (G, 2) [m]; 0 if it has no queue.
     queue_spacings: FloatArray
-    grid: NavGrid | None  # walkable grid; None without obstacles
+    grid: NavGrid | None  # walkable grid; None if there are no obstacles
 
     @cached_property
     def flow_fields(self) -> list[FlowField]:
-        """Flow fields to each goal; empty without obstacles."""
+        """Flow fields to each goal; empty if there are no obstacles."""
         if self.grid is None:
             return []
         return [flow_field(self.grid, goal) for goal in self.goal_points]

@@ -179,7 +179,7 @@ class Spacing:
 
     @staticmethod
     def for_members(members: Members, domain: DomainModel | None) -> Spacing | None:
-        """Return the spacing of members; None without minimum distances."""
+        """Return the spacing of members; None if they have no minimum distance."""
         distances = members.repeat_per_individual(
             [min_distance(entry) for entry in members.entries]
         )

@@ -30,7 +30,7 @@ class PeakValue:
     """The largest value over all frames, and the frame and position where it occurs."""
 
     value: float = 0.0  # a length in [m], a fraction or a count
-    frame: float | None = None  # time code; None for a system, or without a value
+    frame: float | None = None  # time code; None for a system, or if there is no value
     point: int | None = None  # particle index; of an edge, the first
     at: tuple[float, float, float] | None = None  # position of the point [m]
     time: float | None = None  # time of a system [s]
@@ -181,7 +181,7 @@ class ContactMeter:
 
     @property
     def text(self) -> str:
-        """Peaks of depth and strain as text; empty without contact and strain."""
+        """Peaks of depth and strain as text; empty if there was neither."""
         phrases = []
         if self.depth.value > MIN_DEPTH:
             depth = f"{length_text(self.depth.value, 2)} deep in what it touches"

@@ -290,7 +290,7 @@ def _restore(
 def _restore_unset_field(
     arrays: _Arrays, record_types: Sequence[type[Any]], prefix: str
 ) -> Any:
-    """Return the value of a field that starts as None; None without arrays."""
+    """Return the value of a field that starts as None; None if no array was saved."""
     values_by_name = {
         name.removeprefix(f"{prefix}."): values if values.ndim else values.item()
         for name, values in arrays.items()

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from animtool.systems.framework.spec import JoinedEntry
 
 State = TypeVar("State")
-# Progress callback; None without.
+# Progress callback; None if no progress is shown.
 Progress: TypeAlias = Callable[[float], None] | None
 State_contra = TypeVar("State_contra", contravariant=True)
 

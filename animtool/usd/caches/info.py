@@ -68,7 +68,7 @@ class PointPrimSummary:
     orientations: bool  # whether it has orientations
     primvars: list[str]  # names of its primvars
     # Lowest and highest corner of its authored extents over all samples, in local
-    # space; None without one.
+    # space; None if there is none.
     extent: tuple[list[float], list[float]] | None
 
 

@@ -154,7 +154,7 @@ class PointSample:
     """Points, ids and instance transforms of a prim at a time code, world space."""
 
     points: FloatArray  # (N, 3) [m]
-    ids: IntArray | None  # (N,); None without ids
+    ids: IntArray | None  # (N,); None if points have no ids
     orientations: FloatArray | None = None  # x, y, z, w (N, 4); None unless instances
     scales: FloatArray | None = None  # as authored (N, 3) [1]; None unless instances
     # Prototype index (N,); None unless instances.

@@ -377,7 +377,7 @@ class FrameEncoder(Generic[FrameT]):
 def bounds(
     points: Float32Array, padding: float | FloatArray | Float32Array
 ) -> Float32Array:
-    """Return the padded bounds of points ``(2, 3)``; zeros without points."""
+    """Return the padded bounds of points ``(2, 3)``; zeros if there are none."""
     if not len(points):
         return np.zeros((2, 3), np.float32)
     if isinstance(padding, float):

@@ -66,7 +66,7 @@ class PrimLocation:
 
 
 def token_array(attr: Any) -> list[str]:
-    """Return the tokens of an attribute; empty without a value."""
+    """Return the tokens of an attribute; empty if it has no value."""
     return [str(token) for token in (attr.Get() if attr else None) or ()]
 
 

@@ -214,7 +214,7 @@ def _grid_notices(
 
 
 def find_first_animation(stage: Any, root_path: str) -> Any:
-    """Return the first animation that a layer binds or contains; None without one."""
+    """Return the first animation that a layer binds or contains, or None."""
     root_prim = stage.GetPrimAtPath(root_path)
     # An animation layer alone has only overs above its animation.
     predicate = Usd.PrimAllPrimsPredicate

@@ -30,7 +30,7 @@ def build_scale_channel(scales: FloatArray) -> Channel | None:
 
 
 def animated_shapes(animation: Any) -> list[str]:
-    """Return the blend shapes of an animation with weights; empty without weights."""
+    """Return the blend shapes of an animation; empty if it has no weights."""
     if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
         return []
     return [str(token) for token in array_value(animation.GetBlendShapesAttr())]

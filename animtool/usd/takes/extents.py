@@ -23,7 +23,7 @@ def shape_bounds(
 
     ``weights`` are the shape weights ``(F, S)``, one array per block.
 
-    Returns None without a mesh with points.
+    Returns None if no mesh has points.
     """
     from pxr import Usd, UsdGeom
 

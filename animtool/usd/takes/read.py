@@ -110,7 +110,7 @@ def read_usd(
 
 
 def _take_set(stage: Any, root_path: str) -> TakeSet | None:
-    """Return the take set of the first character; None without takes."""
+    """Return the take set of the first character; None if it has none."""
     skeletons = find_skeletons(stage, root_path)
     if skeletons:
         return find_take_set(skeletons[0].GetPrim())

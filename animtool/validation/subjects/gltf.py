@@ -156,7 +156,7 @@ def _bind_positions(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
     """Return the bind positions of the joints ``(J, 3)`` [m].
 
     A glTF does not state the mesh's position at bind time: the topmost bound joint is
-    assumed to be at rest. Unbound joints are at rest; None without any bound joint.
+    assumed to be at rest. Unbound joints are at rest; None if no joint is bound.
     """
     joints = sorted({rig.index(name) for skin in skins for name in skin.joints})
     if not joints:

@@ -81,7 +81,7 @@ class Force(ABC):
         return by_position, by_velocity
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return potential energies ``(N,)`` [J]; None without a potential."""
+        """Return potential energies ``(N,)`` [J]; None if it has no potential."""
         return np.zeros(len(x)) if self.is_dissipative else None
 
     def stiffness(self) -> float:
