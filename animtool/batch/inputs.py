@@ -160,7 +160,7 @@ def input_faults(spec: BatchSpec, document: Document) -> list[Fault]:
 
 
 def shared_output_fault(spec: BatchSpec, files: Sequence[MatchedFile]) -> Fault | None:
-    """Return the fault of one output file for several inputs (OUT007); else None.
+    """Return a fault if several inputs have the same output (OUT007), else None.
 
     Shots and variants are compared with their outputs, when these are known.
     """

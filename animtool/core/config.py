@@ -52,7 +52,7 @@ def _depth_error(position: str = "") -> ValueError:
 
 
 def _nested_values(value: Any) -> Iterable[Any]:
-    """Return the direct values of a table or a list; empty for other values."""
+    """Return the values of a table or items of a list; empty for anything else."""
     if isinstance(value, dict):
         return value.values()
     return value if isinstance(value, list) else ()
@@ -122,7 +122,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _toml_fault(problem: str, path: str) -> Fault:
-    """Return the fault of malformed TOML, made from the parser's message."""
+    """Return a fault for malformed TOML, from the parser's message."""
     match = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", problem)
     if match is None:
         problem = problem.removesuffix(" (at end of document)")

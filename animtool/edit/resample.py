@@ -161,7 +161,7 @@ def missing_frames_fault(
     name: str = "frame_range",
     noun: str = "take",
 ) -> Fault:
-    """Return the fault of frames that a take does not have (CLI005).
+    """Return a fault for requested frames that a take does not have (CLI005).
 
     The argument ``name`` names the frames of an object called ``noun``.
 

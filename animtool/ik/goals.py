@@ -238,7 +238,7 @@ def path_to_root(rig: Rig, joint: str, root: str | None = None) -> list[int]:
 
 
 def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
-    """Return the faults of a single goal."""
+    """Return the faults in a single goal."""
     faults = []
     if goal.joint not in rig.names:
         suggestions = most_similar(goal.joint, rig.names)
@@ -274,7 +274,7 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
 
 
 def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
-    """Return the faults of a goal's root."""
+    """Return the faults in the root of a goal."""
     if goal.root is None:
         return []
     if goal.root not in rig.names:

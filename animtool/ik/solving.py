@@ -191,7 +191,7 @@ def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fa
 
 
 def raise_faults(faults_by_option: Mapping[str, list[Fault]]) -> None:
-    """Raise the faults of all options, if there are any."""
+    """Raise all faults in the options together."""
     faults = [fault for faults in faults_by_option.values() for fault in faults]
     if faults:
         raise OptionError(faults)

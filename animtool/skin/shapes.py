@@ -301,7 +301,7 @@ def _nonzero_offsets(
 
 
 def _shape_faults(shape: SurfaceShape, vertex_count: int) -> list[Fault]:
-    """Return the faults of a shape's vertices, offsets and inbetweens."""
+    """Return the faults in a shape's vertices, offsets and inbetweens."""
     label = f"shape {shape.name!r}"
     faults = []
     offset_count = vertex_count
@@ -337,7 +337,7 @@ def _shape_faults(shape: SurfaceShape, vertex_count: int) -> list[Fault]:
 
 
 def _offset_faults(name: str, values: FloatArray, offset_count: int) -> list[Fault]:
-    """Return the faults of offsets: wrong shape, or not finite."""
+    """Return faults for offsets with a wrong shape, or not finite."""
     array = np.asarray(values, np.float64)
     if array.shape != (offset_count, 3):
         message = f"{name} are {array.shape}, but must be ({offset_count}, 3)"

@@ -64,7 +64,7 @@ void Solver::build_islands() {
     ++report_.awake_count;
   }
   for (std::size_t k = 0; k < contacts_.size(); ++k) {
-    const std::size_t island = island_of_group[groups_.find_root(contacts_[k].a)];
+    const std::size_t island = island_of_group[groups_.find_root(contacts_[k].body_a)];
     if (island < islands_.size()) islands_[island].contacts.push_back(k);
   }
   for (std::size_t k = 0; k < world_.joints.size(); ++k) {

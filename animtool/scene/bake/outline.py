@@ -230,7 +230,7 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
 def check_output_entry(
     entry: OutputEntry, inputs: Sequence[Path], source: Path
 ) -> None:
-    """Raise the faults of one output before anything is read.
+    """Raise all faults in the options of an output before anything is read.
 
     ``inputs`` are the files that are read; the first, ``source``, names a take.
     """

@@ -261,7 +261,7 @@ class SystemRun:
     def _faults_with_frame(
         self, time_code: Fraction, error: ToleranceError
     ) -> list[Fault]:
-        """Return the faults of a stopped system; the last names the frame."""
+        """Return the faults of an error, with the frame in the last message."""
         *other_faults, last_fault = error.faults
         message = last_fault.message + f", before frame {float(time_code):g}"
         hints = [last_fault.hint] if last_fault.hint else []

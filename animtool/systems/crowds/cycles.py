@@ -117,7 +117,7 @@ class CyclePath:
 
     begin: float  # first frame
     length: float  # length of a cycle [frames]
-    origin: FloatArray  # position at the first frame, x and z (2,) [m]
+    origin: FloatArray  # (x, z) at the first frame (2,) [m]
     heading: float  # heading at the first frame [rad]
     velocity: FloatArray  # velocity in the frame of the body (2,) [m/frame]
     yaw_rate: float  # yaw rate [rad/frame]
@@ -127,7 +127,7 @@ class CyclePath:
         return self.heading + self.yaw_rate * (frames - self.begin)
 
     def positions(self, frames: FloatArray) -> FloatArray:
-        """Return x and z at frames ``(K, 2)`` [m]."""
+        """Return the (x, z) points of the path at frames ``(K, 2)`` [m]."""
         return (
             self.origin
             + _arc_integrals(self.heading, self.yaw_rate, frames - self.begin)

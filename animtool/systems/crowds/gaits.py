@@ -98,7 +98,7 @@ class Gait:
     rotations: FloatArray  # local rotations of joints (P, J, 4)
     hips: FloatArray  # positions of the first joint (P, 3) [m]
     period: float  # length of the cycle [s]
-    velocity: FloatArray  # velocity of the body in its frame, x and z (2,) [m/s]
+    velocity: FloatArray  # along x and z of the body's frame (2,) [m/s]
     yaw_rate: float  # yaw rate of the body [rad/s]
     # Fraction of the cycle that each foot is planted (2,).
     stance_fractions: FloatArray = field(default_factory=lambda: np.ones(2))

@@ -26,7 +26,7 @@ def rotations_about_y(angles: FloatArray) -> FloatArray:
 
 
 def rotate_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
-    """Return x and z ``(…, 2)`` rotated about y by an angle [rad]."""
+    """Return (x, z) vectors ``(…, 2)`` rotated about y by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
@@ -49,7 +49,7 @@ class GroundSampler(Protocol):
     """Interface of the ground as a height field."""
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
+        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at (x, z) points."""
 
 
 @dataclass(frozen=True)
@@ -89,7 +89,7 @@ class Terrain:
         return not len(self.triangles)
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``.
+        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at (x, z) points.
 
         Without ground, heights are NaN and normals point up.
         """
@@ -121,7 +121,7 @@ class Terrain:
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """Lower and upper x and z ``(2, 2)`` [m]."""
+        """Lower and upper (x, z) bounds ``(2, 2)`` [m]."""
         positions = self.triangles[..., [0, 2]].reshape(-1, 2)
         return np.stack([positions.min(axis=0), positions.max(axis=0)])
 

@@ -46,7 +46,7 @@ class Steering:
 
     agents: Agents
     goals: Sequence[CrowdGoalModel]
-    goal_points: FloatArray  # x and z of each goal (G, 2) [m]
+    goal_points: FloatArray  # (x, z) of each goal (G, 2) [m]
     # Offset between positions of a goal's queue (G, 2) [m]; 0 if it has no queue.
     queue_spacings: FloatArray
     grid: NavGrid | None  # walkable grid; None if there are no obstacles
@@ -201,7 +201,7 @@ class Steering:
         return result
 
     def advance(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
-        """Return progress after a step [s], with agents at x and z ``(N, 2)``."""
+        """Return progress after a step [s], with agents at (x, z) points ``(N, 2)``."""
         if not len(self.goal_points):
             return progress
         _, counts, is_repeating, is_leaving = self._route_plans

@@ -116,7 +116,7 @@ class Particles:
 def _record_faults(
     key: str, records: Sequence[Emitter | Collider | Sheet]
 ) -> list[Fault]:
-    """Return the faults of records, located by name or number."""
+    """Return the faults in records, located by name or number."""
     return [
         fault
         for i, record in enumerate(records)

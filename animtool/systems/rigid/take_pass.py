@@ -309,7 +309,7 @@ def _run_notices(
 
 
 def _check_ranges(options: RagdollOptions, option: str = "") -> None:
-    """Raise the faults of all options, or of the named option only."""
+    """Raise all faults in the options, or only those of the named option."""
     faults = [fault for fault in range_faults(options) if option in ("", fault.where)]
     has_density = options.density != RagdollOptions().density
     if option in ("", "density") and options.mass is not None and has_density:

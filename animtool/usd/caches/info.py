@@ -222,7 +222,7 @@ def _extent_union(
 
 
 def _missing_chunks(chunks: Sequence[ChunkSet], file_path: str) -> list[Fault]:
-    """Report the files of value clips that do not exist."""
+    """Return a warning for each value clip set with missing files."""
     return [
         Fault(
             "USD276",

@@ -255,7 +255,7 @@ def _count_notice(
 
 
 def _static_mesh_notice(root: Any, deformed_paths: set[Any], path: Path) -> list[Fault]:
-    """Report meshes that UsdSkel animated and the cache leaves static."""
+    """Return a warning if the cache leaves meshes static that UsdSkel animated."""
     static_meshes = [
         str(query.GetPrim().GetPath())
         for binding in skeleton_bindings(UsdSkel.Root(root))

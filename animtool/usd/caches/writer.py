@@ -171,7 +171,7 @@ class PointSpace:
 
 @dataclass(slots=True)
 class CachedMesh:
-    """Report on one written PointBased prim."""
+    """What was written for one PointBased prim, as in reports."""
 
     path: str
     vertices: int = 0  # most points of any frame

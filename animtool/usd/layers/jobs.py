@@ -174,7 +174,7 @@ class UsdTake:
 
 @dataclass(slots=True)
 class WrittenTake:
-    """Report on one written take."""
+    """What was written for one take, as in reports."""
 
     animation: str  # path of its SkelAnimation
     span: FrameSpan  # first and last frame, and time codes per second

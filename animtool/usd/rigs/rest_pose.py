@@ -150,7 +150,7 @@ def rest_faults(
 def _missing_rest_fault(
     skeleton: Any, joints: Sequence[str], *, is_animated: bool
 ) -> Fault:
-    """Return the fault of missing rest transforms; a warning if replaceable."""
+    """Return a fault for missing rest transforms, a warning if they are replaceable."""
     location = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     unanimated_joints = (

@@ -63,7 +63,7 @@ _BINDING_ATTRIBUTES = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
 
 
 def unbound_notice(skeleton: Any, file_path: str) -> list[Fault]:
-    """Report prims that stay at rest because SkelBindingAPI is not applied."""
+    """Return a warning if prims stay at rest because they lack SkelBindingAPI."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []

@@ -232,7 +232,7 @@ def find_first_animation(stage: Any, root_path: str) -> Any:
 
 
 def root_motion_notice(animation: Any, location: PrimLocation) -> list[Fault]:
-    """Report root motion of a layer that is read without its rig."""
+    """Return a warning if a layer that is read without its rig has root motion."""
     parent = animation.GetPrim().GetParent()
     order = parent.GetAttribute("xformOpOrder")
     if not order or not order.HasAuthoredValue():

@@ -125,7 +125,7 @@ def author_extents(
 
 
 def _compose_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
-    """Return a stage of the authored layers over the rig."""
+    """Compose the authored layers over the rig and return the stage."""
     from pxr import Usd
 
     if job.target is not None:
