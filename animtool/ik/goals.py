@@ -381,7 +381,7 @@ def _are_all_values_valid(packed_targets: FloatArray) -> bool:
 def _value_faults(
     packed_targets: FloatArray, is_active: BoolArray, is_missing: BoolArray
 ) -> list[Fault]:
-    """Return faults of missing or invalid values in used parts ``(B, E, 4)``."""
+    """Return faults for missing or invalid values in used parts ``(B, E, 4)``."""
     faults = []
     weights = packed_targets[:, :, WEIGHT_COLUMNS]
     is_invalid = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)

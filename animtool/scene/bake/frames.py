@@ -108,7 +108,7 @@ def sample_take(plan: TakePlan, stream: TakeStream) -> SampledTake:
 def _interpolation_notices(
     plan: TakePlan, sampler: TakeSampler, times: SampleTimes
 ) -> list[Fault]:
-    """Return notices of interpolation errors, without those that a pass reported."""
+    """Return notices about interpolation errors, except those that a pass reported."""
     reported_codes = {notice.code for notice in plan.stream.notices}
     positions = FramePositions(times.frames, times.fractions)
     hint = f"{argument('keep_samples', True)} keeps the frames as is"
@@ -179,7 +179,7 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
 
 
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
-    """Return notices of frames of a shot that the take lacks.
+    """Return notices about frames of a shot that the take lacks.
 
     The last frame of a take lasts until the next frame would begin.
     """

@@ -211,7 +211,7 @@ def check_outline(outline: Outline) -> None:
 
 
 def duplicate_outputs(outline: Outline) -> list[Fault]:
-    """Return faults of scene outputs that are the same file (OUT007)."""
+    """Return a fault for each scene output that repeats a file (OUT007)."""
     entry_by_file: dict[str, OutputEntry] = {}
     faults = []
     for entry in outline.outputs:

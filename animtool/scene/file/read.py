@@ -438,7 +438,7 @@ class _PassReader:
 def _check_pass(
     reader: KeyReader, location: Location, pass_: Pass, options: Any
 ) -> None:
-    """Record faults of options that do not depend on the take."""
+    """Record faults in options that can be found without the take."""
     for option, check in pass_.checks(options).items():
         try:
             check()

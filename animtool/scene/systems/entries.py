@@ -127,7 +127,7 @@ class EntryReader:
     def record_entry_faults(
         self, location: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
-        """Record faults of an entry, each at its key or the nearest one present."""
+        """Record faults in an entry, each at its key or the nearest one present."""
         for fault in faults:
             key_location = _present_location(model, parse_location(fault.where or ""))
             self.record_fault((*location, *key_location), fault)

@@ -298,7 +298,7 @@ class SystemRun:
         return frame
 
     def add_notices(self, meshes: Sequence[CachedMesh]) -> None:
-        """Add the notices of written meshes, each located at its system."""
+        """Add the notices about written meshes, each located at its system."""
         self._warnings += [
             self.systems[i].location.locate(notice)
             for i, prim in zip(self.written_indices, meshes, strict=True)

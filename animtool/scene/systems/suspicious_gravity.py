@@ -58,7 +58,7 @@ def warn_of_weak_gravity(
 def _strongest_gravity(
     spec: Any, parts: Mapping[str, Any]
 ) -> tuple[float, float, float]:
-    """Return the total mass, and distance and acceleration where gravity does most.
+    """Return the total mass, and the distance and acceleration of the largest effect.
 
     The acceleration is per unit of the gravitational constant [kg/m²].
     """

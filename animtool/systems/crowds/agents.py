@@ -140,7 +140,7 @@ def _separate_at_start(
 
 
 def _crowded_warning(agents: Agents, distances: FloatArray) -> Fault:
-    """Return a warning of the population that is too many for its region (SIM147).
+    """Return a warning about a population that is too large for its region (SIM147).
 
     ``distances`` are those by which agents are moved apart ``(N,)`` [m].
     """

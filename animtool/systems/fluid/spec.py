@@ -183,7 +183,7 @@ class FluidModel(ForcedSpec):
                     yield message, "emitters", None
 
     def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return faults of keys, and of colours without a range."""
+        """Return faults in keys, and for colours without a range."""
         faults = list(super().faults(entry_data))
         if self.colour is not None and self.colour.range is None:
             message, hint = "colours need a range", "range: [0, 4]"

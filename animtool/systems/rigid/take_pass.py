@@ -271,7 +271,7 @@ def _run_notices(
     fall_transforms: tuple[FloatArray, FloatArray],
     first_frame: float,
 ) -> list[Fault]:
-    """Return the notices of a run, including the joint that exceeds its limits most.
+    """Return the notices of a run, with the joint that exceeds its limits most.
 
     ``fall_transforms`` are local translations ``(F, J, 3)`` and rotations ``(F, J, 4)``
     of all joints in the fall, which begins at ``first_frame``.

@@ -247,7 +247,7 @@ def _unusable_normals(mesh: Any, *, has_vertex_normals: bool) -> tuple[str, ...]
 def _count_notice(
     code: str, names: Sequence[str], text: str, hint: str, path: Path
 ) -> list[Fault]:
-    """Return a warning that counts and lists prim names; no warning without names."""
+    """Return a warning that counts and lists prim names; empty if there are none."""
     if not names:
         return []
     message = f"{len(names)} {text}: {listed(names, MAX_LISTED_PRIMS)}"
