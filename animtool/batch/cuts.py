@@ -114,7 +114,7 @@ def _shot_clips(
     path: Path,
     skip_reasons: Mapping[str, str],
 ) -> list[ShownClip]:
-    """Return the clip of a named shot, or the only clip; raise BAT048 without one.
+    """Return the clip of a named shot, or the only clip; raise BAT048 if there is none.
 
     ``skip_reasons`` say why clips are not shots, by their names.
     """

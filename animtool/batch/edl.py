@@ -54,7 +54,7 @@ _FREEZE_COMMENT = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
 
 @dataclass(slots=True)
 class Event:
-    """An event of an EDL, as text that is not parsed yet."""
+    """An event of an EDL, as unparsed text."""
 
     line: int
     number: str

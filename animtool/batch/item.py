@@ -83,7 +83,7 @@ def complete_pattern(pattern: str, name: str) -> str:
 def pattern_problems(
     pattern: str, variables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield a message and a hint for each fault of an output pattern.
+    """Yield a message and a hint for each fault in an output pattern.
 
     >>> list(pattern_problems("out/{stm}.usdc", {}))
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]

@@ -61,7 +61,7 @@ class FileRecord:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> FileRecord:
-        """Return the record of `as_dict`."""
+        """Return the record from the values of `as_dict`."""
         path = text_in(values, "path")
         if "absent" in values:
             if values["absent"] is not True or "size" in values:
@@ -105,7 +105,7 @@ class ItemRecord:
     def from_dict(
         cls, values: Mapping[str, Any], files_by_number: Mapping[int, FileRecord]
     ) -> ItemRecord:
-        """Return the record of `as_dict`."""
+        """Return the record from the values of `as_dict`."""
         outputs = _nonempty_list(values, "outputs")
         scores = list_in(values, "scores") if "scores" in values else ()
         return cls(
@@ -192,7 +192,7 @@ class Manifest:
         self.known_names.update(output.path for output in record.outputs)
 
     def merge(self, other: Manifest) -> None:
-        """Add the records of another manifest; of equal keys the newer one stays."""
+        """Add the records of another manifest; for equal keys, keep the newer one."""
         for record in other.items.values():
             self.add(record)
         self.known_names |= other.known_names
@@ -266,7 +266,7 @@ class ManifestWriter(LineWriter):
 def rewrite_manifest(
     path: Path, items: Iterable[ItemRecord], known_names: Iterable[str]
 ) -> None:
-    """Replace a manifest by one with the given items and names, atomically."""
+    """Replace a manifest atomically with one of the given items and names."""
     with (
         replacement_path(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,

@@ -280,7 +280,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 class _CrashError(Exception):
-    """The child process crashed while it read a file that is not known."""
+    """The child process crashed while reading an unknown file."""
 
 
 def _remove_leftovers(folders: Sequence[str], process_id: int) -> None:
