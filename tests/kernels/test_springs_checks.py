@@ -30,9 +30,9 @@ BAD: list[tuple[str, str, Any]] = [
     ("SpringNetwork", "pinned_path", np.inf),
     ("SpringNetwork", "winds", np.nan),
     ("SpringNetwork.set_paths", "pinned_path", np.nan),
-    ("SpringLayers", "rest", np.nan),
+    ("SpringLayers", "rest_positions", np.nan),
     ("SpringLayers", "thickness", 0.0),
-    ("SpringLayers", "speed", np.nan),
+    ("SpringLayers", "separation_speed", np.nan),
     ("SpringLayers.distance", "triangle", 10**9),
     ("SpringLayers.distance", "particle", -5),
     ("SpringLayers.edge_distance", "first", 10**9),
@@ -166,7 +166,11 @@ def test_a_surface_that_is_none_is_refused() -> None:
 def test_places_that_are_far_off_end_the_call(value: float) -> None:
     rng = np.random.default_rng(4)
     made = CALLS["project_springs"](rng)
-    while made["layers"] is None or not made["interval_count"] or made["initial_intersections"].size == 0:
+    while (
+        made["layers"] is None
+        or not made["interval_count"]
+        or made["initial_intersections"].size == 0
+    ):
         made = CALLS["project_springs"](rng)
     made["state"][0, ::2] = value
     made["state"][0, 1] = -value

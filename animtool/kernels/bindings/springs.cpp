@@ -36,10 +36,10 @@ of the ``triangles`` ``(T, 3)`` are per area and squared speed. Over the times o
                            R"(Self-contact of a spring surface.
 
 Particles keep the ``thickness`` from triangles, and edges three quarters of it from edges, or
-less: their distance at ``rest`` ``(N, 3)``, and two thirds of that along the surface. With
-Coulomb's coefficient of ``friction``, and the ``speed`` of separating closer parts.)")
+less: their distance at ``rest_positions`` ``(N, 3)``, and two thirds of that along the surface. With
+Coulomb's coefficient of ``friction``, and the ``separation_speed`` of closer parts.)")
       .def(nb::init<const SpringNetwork&, In<double, 2>, double, double, double>(), "network"_a,
-           "rest"_a, "thickness"_a, "friction"_a, "speed"_a)
+           "rest_positions"_a, "thickness"_a, "friction"_a, "separation_speed"_a)
       .def("distance", &SpringLayers::checked_distance, "triangle"_a, "particle"_a,
            R"(Return the distance that a particle keeps; 0 for its triangles.)")
       .def("edge_distance", &SpringLayers::checked_edge_distance, "first"_a, "second"_a,

@@ -49,7 +49,7 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
   check::at_most("inertias", count, check::MAX_ROWS);
   check::at_most("bodies", shape_count, check::MAX_ROWS);
   check::indices("bodies", bodies, 0, static_cast<std::int64_t>(count));
-  check::numbers("numbers", shape_numbers, {shape_count, 3});
+  check::numbers("shape_numbers", shape_numbers, {shape_count, 3});
   check::numbers("points", points, {check::ANY, 3});
   check_starts("point_starts", point_starts, shape_count, points.shape(0));
   const std::size_t face_count = corner_starts.shape(0) ? corner_starts.shape(0) - 1 : 0;
@@ -71,9 +71,9 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     shape.body = static_cast<std::size_t>(bodies.data()[s]);
     if (s && shape.body < world_.shapes[s - 1].body) check::refuse("bodies", "they do not ascend");
     const double* n = shape_numbers.data() + 3 * s;
-    check::non_negative("numbers", n[0]);
-    check::between("numbers", n[1], 0, 1);
-    check::non_negative("numbers", n[2]);
+    check::non_negative("shape_numbers", n[0]);
+    check::between("shape_numbers", n[1], 0, 1);
+    check::non_negative("shape_numbers", n[2]);
     shape.core.radius = n[0], shape.material = {n[1], n[2]};
     const std::int64_t first_point = point_starts.data()[s], end_point = point_starts.data()[s + 1];
     if (first_point == end_point) check::refuse("point_starts", "a shape has no points");
@@ -95,12 +95,12 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     body.bounding_radius = std::max(body.bounding_radius, shape.core.bounding_radius);
   }
   read_joints(joints, joint_numbers);
-  check::shape("excluded", excluded_pairs, {check::ANY, 2});
-  check::at_most("excluded", excluded_pairs.shape(0), check::MAX_ROWS);
+  check::shape("excluded_pairs", excluded_pairs, {check::ANY, 2});
+  check::at_most("excluded_pairs", excluded_pairs.shape(0), check::MAX_ROWS);
   for (std::size_t k = 0; k < excluded_pairs.shape(0); ++k) {
-    check::between("excluded", excluded_pairs.data()[2 * k], 0,
+    check::between("excluded_pairs", excluded_pairs.data()[2 * k], 0,
                    static_cast<std::int64_t>(count) - 1);
-    check::between("excluded", excluded_pairs.data()[2 * k + 1], 0,
+    check::between("excluded_pairs", excluded_pairs.data()[2 * k + 1], 0,
                    static_cast<std::int64_t>(count + check::MAX_ROWS));
   }
   for (std::size_t k = 0; k < excluded_pairs.shape(0); ++k)

@@ -150,10 +150,10 @@ def _layers(rng: Rng) -> dict[str, Any]:
     cloth = Cloth(rng)
     return {
         "network": cloth.network(),
-        "rest": cloth.points,
+        "rest_positions": cloth.points,
         "thickness": 0.05,
         "friction": 0.2,
-        "speed": 0.2,
+        "separation_speed": 0.2,
     }
 
 
@@ -230,7 +230,11 @@ def _project(rng: Rng) -> dict[str, Any]:
 def _solve(rng: Rng) -> dict[str, Any]:
     cloth = Cloth(rng)
     before = cloth.state(rng) if rng.integers(2) else None
-    others = {"earlier_state": before, "uses_bdf2": bool(rng.integers(2)), "tolerance": 1e-6}
+    others = {
+        "earlier_state": before,
+        "uses_bdf2": bool(rng.integers(2)),
+        "tolerance": 1e-6,
+    }
     return {**_cells(rng, cloth), "substeps": int(rng.integers(1, 3)), **others}
 
 
