@@ -178,7 +178,7 @@ def _is_integer(value: Any) -> bool:
 
 
 def _value_error(path: Path, message: str, hint: str | None = None) -> OptionError:
-    """Return the error of a setting with an invalid value (CFG003)."""
+    """Return the error for a setting with an invalid value (CFG003)."""
     return OptionError(Fault("CFG003", message, str(path), hint=hint))
 
 

@@ -150,7 +150,7 @@ def _bare_key(line: str) -> str | None:
 
 
 def _line_above(lines: list[str], line: int) -> int:
-    """Return the number of the nearest nonblank line above; 0 for none."""
+    """Return the number of the nearest nonblank line above; 0 if there is none."""
     for line_number in range(min(line, len(lines)) - 1, 0, -1):
         if re.match(r"\s*[^\s#]", lines[line_number - 1]):
             return line_number

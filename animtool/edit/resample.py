@@ -149,7 +149,7 @@ def _dropped_samples(
 
 
 def _range_error(message: str) -> OptionError:
-    """Return the error of an invalid frame range (CLI005)."""
+    """Return the error for an invalid frame range (CLI005)."""
     return OptionError(Fault("CLI005", message))
 
 

@@ -350,7 +350,7 @@ def fit_scores(report: RetargetReport) -> PassScores:
 
 
 def _mean_clamped(joint_map: JointMap, clamped_fractions: Mapping[int, float]) -> float:
-    """Return the mean clamped fraction of frames over the paired joints but fingers."""
+    """Return the mean clamped fraction of frames over paired joints except fingers."""
     fingers = {*FINGER_ROLES, MITTEN_ROLE}
     joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
     return sum(clamped_fractions.get(j, 0.0) for j in joints) / max(len(joints), 1)

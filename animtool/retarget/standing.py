@@ -249,7 +249,7 @@ def find_standing_axis(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis
 def _standing_axis(
     rig: Rig, motion: Motion, roles: Sequence[str], *, is_inverted: bool = False
 ) -> UpAxis | None:
-    """Return the axis of `find_standing_axis`, also if the body is taller along up.
+    """Return the axis of `find_standing_axis`, even if the body is taller along up.
 
     With ``is_inverted``, the body stands with the head at the negative end of the axis,
     as in a take that was turned from the wrong axis.

@@ -121,7 +121,7 @@ class SkeletonTree:
         return path[path.index(top) :] if top in path else []
 
     def lowest_common_ancestor(self, joints: Sequence[int]) -> int:
-        """Return the deepest joint whose subtree contains all joints; -1 for none."""
+        """Return the deepest joint whose subtree contains all joints, or -1."""
         common_ancestors = set(self.rig.upwards(joints[0]))
         for j in joints[1:]:
             common_ancestors &= set(self.rig.upwards(j))

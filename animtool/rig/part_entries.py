@@ -492,7 +492,7 @@ class PartReader:
         return False
 
     def _is_descendant(self, root: str, tip: str) -> bool:
-        """Return whether a tip is the root or its descendant, or that is unknown."""
+        """Return whether a tip is the root or its descendant; True if unknown."""
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while index >= 0 and joints[index].name != root:

@@ -34,7 +34,7 @@ BOUNDS_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class MorphTarget:
-    """A morph target: accessor indices of its offsets; -1 for none."""
+    """A morph target: accessor indices of its offsets; -1 if there is none."""
 
     position: int
     normal: int

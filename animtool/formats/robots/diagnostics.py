@@ -41,7 +41,7 @@ class XmlDiagnostics:
         joint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> None:
-        """Record a fault at an element; None is the file."""
+        """Record a fault at an element, or at the file if that is None."""
         path = str(self.path if element is None else element.path)
         lines = () if element is None else (element.line,)
         column = None if element is None else element.column

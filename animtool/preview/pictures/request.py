@@ -59,7 +59,7 @@ class CameraChoice:
 
 
 def option_error(option: str, message: str, hint: str) -> OptionError:
-    """Return the error of an invalid picture option."""
+    """Return the error for an invalid picture option."""
     return OptionError(Fault("PRV006", message, hint=hint, where=option))
 
 

@@ -85,7 +85,7 @@ class Steering:
         return Progress(stages, np.zeros(count), tickets)
 
     def current_goals(self, progress: Progress) -> IntArray:
-        """Return the current goal of each agent ``(N,)``; -1 for none."""
+        """Return the current goal of each agent ``(N,)``; -1 if there is none."""
         table, counts, is_repeating, _ = self._route_plans
         stages = progress.stages
         loop_stages = stages % np.maximum(counts, 1)

@@ -158,7 +158,7 @@ def rule_accelerations(
 
 
 def min_distance(species: SpeciesModel) -> float:
-    """Return the minimum distance of members of a species [m]; 0 for none.
+    """Return the minimum distance of members of a species [m]; 0 if there is none.
 
     The default is twice the radius; members without a specified radius or mesh are
     points.

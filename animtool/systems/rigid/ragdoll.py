@@ -152,7 +152,7 @@ def _body_kinds(
 
 
 def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
-    """Return the parent body of each body ``(N,)``; -1 for none."""
+    """Return the parent body of each body ``(N,)``; -1 if there is none."""
     body_of_joint = {int(j): i for i, j in enumerate(joints)}
     parents = np.full(len(joints), -1)
     body_of_root: dict[int, int] = {}
