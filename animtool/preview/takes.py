@@ -261,12 +261,14 @@ def _store_track(
 
 
 def _decoded_track(
-    track: QuantizedTrack, data: QuantizedValues | None
+    track: QuantizedTrack, quantized: QuantizedValues | None
 ) -> QuantizedTrack:
     """Return a track with the values that the viewer decodes."""
-    if data is None:
+    if quantized is None:
         return track
-    values = data.stored_values * np.asarray(data.scale) + np.asarray(data.offset)
+    values = quantized.stored_values * np.asarray(quantized.scale) + np.asarray(
+        quantized.offset
+    )
     return QuantizedTrack(
         track.static_values,
         track.animated_joints,

@@ -117,10 +117,10 @@ def _trunk_vectors(roles: Sequence[str], positions: FloatArray) -> FloatArray | 
 
 
 def _limb_vectors(
-    roles: Sequence[str], positions: FloatArray, first: str, last: str
+    roles: Sequence[str], positions: FloatArray, first_role: str, last_role: str
 ) -> FloatArray | None:
     """Return the mean vector along a pair of limbs ``(F, 3)``; None if unknown."""
-    role_pairs = [(f"{first}_{side}", f"{last}_{side}") for side in "lr"]
+    role_pairs = [(f"{first_role}_{side}", f"{last_role}_{side}") for side in "lr"]
     if not all({*role_pair} <= {*roles} for role_pair in role_pairs):
         return None
     vectors = [
