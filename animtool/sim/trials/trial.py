@@ -76,7 +76,7 @@ class Figure(StrEnum):
 
     STRETCH = "stretch"  # largest spring elongation over its rest length [1]
     DEPTH = "depth"  # largest penetration of cloth [m]
-    PIERCED = "pierced"  # largest number of edge-face pairs that pierce each other
+    PIERCED = "pierced"  # largest number of edge-face pairs that intersect
     MISS = "miss"  # largest distance to a position target [m]
     MISS_ANGLE = "miss_angle"  # of orientations, aims and poles [rad]
     REACHED = "reached"  # fraction of frames that reach every target [1]
