@@ -213,7 +213,7 @@ def _timeline_from_table(path: Path, table: Any) -> TimelineConfig:
 def project_roots(path: Path) -> tuple[Path, ...]:
     """Return the folders whose files a file may refer to.
 
-    The folders are those of the project's settings; without settings, the nearest
+    The folders are those of the project's settings; if it has none, the nearest
     parent folder under version control, else the folder of the file.
     """
     folder = path.resolve().parent

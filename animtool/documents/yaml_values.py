@@ -50,7 +50,7 @@ TIMED_ROW_KEYS = frozenset(
 )
 PASS_TIMED_ROW_KEYS = frozenset({"curve", "weight"})
 
-# The matched group determines the kind of number; without a group it is an integer.
+# The matched group determines the kind of number; if there is none, it is an integer.
 _NUMBER = re.compile(
     r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"

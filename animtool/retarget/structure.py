@@ -88,7 +88,7 @@ class SkeletonTree:
 
     @cached_property
     def tip_lengths(self) -> FloatArray:
-        """Length of each joint's last bone ``(J,)`` [m]; 0 for joints without one."""
+        """Length of each joint's last bone ``(J,)`` [m]; 0 if it has none."""
         return np.asarray(np.linalg.norm(self.last_bones, axis=1))
 
     @cached_property

@@ -383,8 +383,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint with the most similar name of an existing file.
 
     The hint names the most similar file, or a folder similar to the first missing one;
-    without one, it names the missing folder. Relative paths start in ``folder``. None
-    if the file exists, or only the file is missing and no name is similar.
+    if there is none, it names the missing folder. Relative paths start in ``folder``.
+    None if the file exists, or only the file is missing and no name is similar.
     """
     if not exists(folder / path) and (hint := url_hint(path.as_posix())):
         return hint

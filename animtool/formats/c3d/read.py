@@ -289,7 +289,7 @@ def _check_scale(file: CaptureFile, sections: Sections, layout: Layout) -> None:
 def _frame_rate(
     file: CaptureFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
-    """Return the frame rate of the parameters, or of the header without one."""
+    """Return the frame rate of the parameters, or else of the header."""
     header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
     if not parameter_rate or not np.isfinite(parameter_rate):
         return header_rate

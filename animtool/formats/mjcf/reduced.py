@@ -284,7 +284,7 @@ class _MeshDefaults:
 
 
 def _is_mesh(geom: XmlElement, is_mesh_by_default: bool) -> bool:
-    """Return whether a geom is a mesh; without a type, its defaults decide."""
+    """Return whether a geom is a mesh; its defaults decide if it states no type."""
     if geom.attributes.get("type") in _MESH_TYPES or "mesh" in geom.attributes:
         return True
     return is_mesh_by_default and "type" not in geom.attributes

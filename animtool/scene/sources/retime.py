@@ -1,4 +1,4 @@
-"""Retiming of takes: pre-roll frames, frames of a shot, and shots without any."""
+"""Retiming of takes: pre-roll frames, frames of a shot, and shots that have none."""
 
 from __future__ import annotations
 

@@ -32,7 +32,7 @@ class Walker:
     heading: float  # heading of its rest pose [rad]
     level_rotations: FloatArray  # world rotation of each planted foot (2, 4)
     ankle_heights: FloatArray  # height of the ankles of planted feet (2,) [m]
-    # Offset from each ankle to the toe joint, or to the ground without one, for a
+    # Offset from each ankle to the toe joint, or else to the ground, for a
     # planted foot heading along z (2, 3) [m].
     ball_offsets: FloatArray
     leg_length: float  # total length of thigh and shin [m]

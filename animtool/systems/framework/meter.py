@@ -194,7 +194,7 @@ class ContactMeter:
         return ", ".join(phrases)
 
     def notices(self, subject: str) -> list[Fault]:
-        """Return warnings about visible depth, intersections and strain (SIM180-182)."""
+        """Return warnings of visible depth, intersections and strain (SIM180-182)."""
         notices, remedy = [], "a shorter step" if self.uses_seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
             depth = length_text(self.depth.value, 2)

@@ -191,7 +191,7 @@ def _rest_frames(
 
 
 def movable_root(rig: Rig, joint: int) -> int:
-    """Return the nearest free joint at or above a joint; without one, the root."""
+    """Return the nearest free joint at or above a joint, or else the root."""
     ancestors = rig.upwards(joint)
     free_joints = (k for k in ancestors if rig.joints[k].type is JointType.FREE)
     return next(free_joints, ancestors[-1])

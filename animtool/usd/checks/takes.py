@@ -214,7 +214,7 @@ def _animation_take(
 def _animation_rig(
     subject: StageSubject, animation: Any, skeleton: Any, joints: list[str], path: Path
 ) -> SkeletonRig:
-    """Return an animation's rig; without a Skeleton, its first sample is the rest."""
+    """Return an animation's rig; the first sample is its rest if it has no Skeleton."""
     if skeleton is not None and token_array(skeleton.GetJointsAttr()):
         return skeleton_rig(skeleton, path)
     meters = UsdGeom.GetStageMetersPerUnit(subject.stage)
