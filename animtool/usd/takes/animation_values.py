@@ -213,8 +213,8 @@ def fill_with_rest(
 ) -> FloatArray:
     """Return values of all joints ``(F, J, …)``; joints without values are at rest.
 
-    ``joints`` are the rig joints of the rows, -1 if unknown. If there are no rows, all are
-    at rest.
+    ``joints`` are the rig joints of the rows, -1 if unknown. If there are no rows, all
+    are at rest.
     """
     all_values = np.repeat(rest[None], frame_count, axis=0)
     if values is not None:
