@@ -144,14 +144,14 @@ KnotInterval find_knot_interval(const std::vector<double>& knot_times, double t)
   return {row, (t - knot_times[row]) / (knot_times[row + 1] - knot_times[row])};
 }
 
-void SpringNetwork::sample_track(const Track& track, const KnotInterval& position, double* out) {
+void SpringNetwork::sample_track(const Track& track, const KnotInterval& interval, double* out) {
   const std::size_t width = 3 * track.points;
-  const double* a = track.positions.data() + (track.is_constant ? 0 : position.knot_index * width);
-  if (track.is_constant || position.fraction == 0) {
+  const double* a = track.positions.data() + (track.is_constant ? 0 : interval.knot_index * width);
+  if (track.is_constant || interval.fraction == 0) {
     std::copy_n(a, width, out);
     return;
   }
-  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * position.fraction;
+  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * interval.fraction;
 }
 
 void SpringNetwork::add_anchor_forces(const double* anchor_points, const double* anchor_velocities,
@@ -197,17 +197,17 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
 void SpringNetwork::set_pinned(double t, double h, const double* before, double* x, double* v,
                                const Strides& strides) const {
   if (pinned_particles.empty()) return;
-  const KnotInterval knot = knot_at(t);
+  const KnotInterval interval = interval_at(t);
   const std::size_t width = 3 * pinned_particles.size();
   const double* a =
-      pinned_track.positions.data() + (pinned_track.is_constant ? 0 : knot.knot_index * width);
-  const bool is_interpolated = !pinned_track.is_constant && knot.fraction != 0;
+      pinned_track.positions.data() + (pinned_track.is_constant ? 0 : interval.knot_index * width);
+  const bool is_interpolated = !pinned_track.is_constant && interval.fraction != 0;
   for (std::size_t p = 0; p < pinned_particles.size(); ++p)
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t index =
           strides.particle * static_cast<std::size_t>(pinned_particles[p]) + strides.component * k;
       double coordinate = a[3 * p + k];
-      if (is_interpolated) coordinate += (a[width + 3 * p + k] - coordinate) * knot.fraction;
+      if (is_interpolated) coordinate += (a[width + 3 * p + k] - coordinate) * interval.fraction;
       v[index] = (coordinate - before[index]) / h;
       x[index] = coordinate;
     }
@@ -283,15 +283,15 @@ void SpringSet::prepare(std::size_t particles) {
 }
 
 void SpringRun::sample_surroundings(double t, double h) {
-  const KnotInterval knot = network.knot_at(t);
-  SpringNetwork::sample_track(network.wind_track, knot, wind);
+  const KnotInterval interval = network.interval_at(t);
+  SpringNetwork::sample_track(network.wind_track, interval, wind);
   if (network.anchors.empty()) return;
-  SpringNetwork::sample_track(network.anchor_track, knot, anchor_points.data());
+  SpringNetwork::sample_track(network.anchor_track, interval, anchor_points.data());
   if (network.anchor_track.is_constant) {
     anchor_points_before = anchor_points;
     return;
   }
-  SpringNetwork::sample_track(network.anchor_track, network.knot_at(t - h),
+  SpringNetwork::sample_track(network.anchor_track, network.interval_at(t - h),
                               anchor_points_before.data());
   for (std::size_t k = 0; k < anchor_points.size(); ++k)
     anchor_velocities[k] = (anchor_points[k] - anchor_points_before[k]) / h;

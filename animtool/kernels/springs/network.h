@@ -82,9 +82,9 @@ class SpringNetwork : public SpringElements {
   // Replaces the paths of pinned particles and anchors over the same knots.
   void set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path);
 
-  KnotInterval knot_at(double t) const { return find_knot_interval(knot_times, t); }
+  KnotInterval interval_at(double t) const { return find_knot_interval(knot_times, t); }
   // Computes the points of a track at a time (P, 3).
-  static void sample_track(const Track& track, const KnotInterval& position, double* out);
+  static void sample_track(const Track& track, const KnotInterval& interval, double* out);
 
   // Add the forces [N] of anchors, given their positions and velocities, and of air, given the
   // wind, to rows of particles.

@@ -433,7 +433,7 @@ StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
   const std::size_t count = strands.strand_count() * strands.point_count();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
-  if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
+  if (targets.shape(0) < 2) check::refuse("targets", "there is no interval between two of them");
   check::finite("targets", targets);
   if (thread_count < 1) check::refuse("thread_count", "0 is none");
   const std::size_t interval_count = targets.shape(0) - 1;
