@@ -260,7 +260,7 @@ ROPE = {
 SPRINGS = {
     "a state before of another shape": (
         {"state/before": np.zeros((2, 3, 3))},
-        "before",
+        "earlier_state",
     ),
     "no step": ({"state/substeps": np.array(0)}, "substeps"),
     "steps beyond bounds": ({"state/substeps": np.array(2**60)}, "out of bounds"),
