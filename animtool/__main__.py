@@ -15,7 +15,7 @@ GC_YOUNG_THRESHOLD = 200_000
 
 
 def main() -> NoReturn:
-    """Run the command line; a signal while it is loaded ends it like any other."""
+    """Run the command line; signals are handled even while its modules are imported."""
     if hasattr(signal, "pthread_sigmask"):
         # Until there is somebody to obey them.
         signals = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}

@@ -96,10 +96,35 @@ def names() -> dict[str, list[str]]:
     return result
 
 
+# Strings of the kernels that are names: what Python calls the arguments of a binding,
+# and what a check calls the argument that it refuses.
+_NAMED_ARGUMENT = re.compile(
+    r'"(\w+)"(?=_a\b)|(?<=Field\{)"(\w+)"|(check::\w+\()"(\w+)"'
+)
+
+
 def code_of(text: str) -> str:
-    """Return C++ without its comments and the contents of its strings."""
+    """Return C++ without its comments and strings, but with the names in these."""
     text = re.sub(r"//[^\n]*|/\*.*?\*/", "", text, flags=re.DOTALL)
+    text = re.sub(r'R"\(.*?\)"', '""', text, flags=re.DOTALL)
+    text = _NAMED_ARGUMENT.sub(
+        lambda m: "".join(part or " " for part in m.groups()), text
+    )
     return re.sub(r'"(?:[^"\\]|\\.)*"', '""', text)
+
+
+def declared_arguments() -> dict[str, list[list[str]]]:
+    """Return the parameters of each function that a header of the kernels declares."""
+    declared = defaultdict(list)
+    for path in KERNELS.rglob("*.h"):
+        text = code_of(path.read_text("utf-8"))
+        for name, found in re.findall(r"\b(\w+)\(([^(){};]*)\)(?: const)?;", text):
+            # What is in angle brackets has commas of its own: the innermost go first.
+            for _ in range(found.count("<")):
+                found = re.sub(r"<[^<>]*>", "", found)  # noqa: PLW2901
+            words_of = [one.partition("=")[0].split() for one in found.split(",")]
+            declared[name].append([one[-1].lstrip("&*") for one in words_of if one])
+    return declared
 
 
 def test_names_are_made_of_the_words_of_the_field() -> None:
@@ -115,6 +140,22 @@ def test_kernels_are_made_of_the_words_of_the_field() -> None:
         if EVERYDAY & set(words(name)) and name not in KEPT
     }
     assert declared_names == set()
+
+
+def test_bindings_call_arguments_what_headers_call_them() -> None:
+    declared, wrong, seen = declared_arguments(), {}, 0
+    for path in (KERNELS / "bindings").glob("*.cpp"):
+        text = re.sub(r'R"\(.*?\)"', "", path.read_text("utf-8"), flags=re.DOTALL)
+        for call in re.findall(r"\bdef\(\s*\"\w+\", &[^;]*?(?=\.def\(|;)", text):
+            name = re.split(r"&|::|,", call.partition("&")[2])
+            function = name[1] if len(name) > 1 and name[1].isidentifier() else name[0]
+            names = re.findall(r'"(\w+)"_a', call)
+            if names and function in declared:
+                seen += 1
+                if names not in declared[function]:
+                    wrong[f"{path.name}: {function}"] = names
+    assert wrong == {}
+    assert seen > 40
 
 
 def test_a_name_that_keeps_an_everyday_word_is_declared() -> None:

@@ -61,7 +61,7 @@ class CutArguments:
 
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """An Open Job Description bundle that is not written yet."""
+    """An Open Job Description bundle that has not been written yet."""
 
     template: Mapping[str, Any]  # template of the job
     parameter_values: Mapping[str, str]  # values of parameters without a default

@@ -73,7 +73,7 @@ def _unreachable_error(scheduler_text: str, error: Exception) -> OutputError:
 
 
 def unusable_cluster_error(address: str, reason: str, hint: str) -> OutputError:
-    """Return the error of a cluster that is unreachable or has no usable worker."""
+    """Return an error for a cluster that is unreachable or has no usable worker."""
     message = f"the dask cluster at {address} cannot be used: {reason}"
     return OutputError(Fault("BAT035", message, hint=hint))
 
@@ -102,7 +102,7 @@ def leave_cluster(client: Any, name: str) -> None:
 
 @contextmanager
 def disk_tokens(folders: tuple[Path, ...]) -> Iterator[Mapping[str, str]]:
-    """Create files that identify the output folders to workers; remove them after.
+    """Create files that identify the output folders to workers; remove them on exit.
 
     The context is their content, by path.
     """

@@ -135,7 +135,7 @@ def _unfit_reasons(worker_check: WorkerCheck) -> Iterator[tuple[str, str]]:
 
 
 def _has_expected_content(expected_input: InputCheck) -> bool:
-    """Return whether a file of this machine has the expected size and content."""
+    """Return whether a file on this machine has the expected size and content."""
     try:
         path = Path(expected_input.path)
         if path.stat().st_size != expected_input.size:

@@ -114,7 +114,7 @@ def _shot_clips(
     path: Path,
     skip_reasons: Mapping[str, str],
 ) -> list[ShownClip]:
-    """Return the clip of a named shot, or the only clip; raise BAT048 without one.
+    """Return the clip of a named shot, or the only clip; raise BAT048 if there is none.
 
     ``skip_reasons`` say why clips are not shots, by their names.
     """
@@ -185,7 +185,7 @@ class _CutReader:
         return visitor
 
     def load_timeline(self) -> Any:
-        """Read the timeline, its rate and its metadata; return None without events."""
+        """Read the timeline, its rate and metadata; return None if it has no events."""
         import_otio()
         if not is_edl(self.path):
             timeline = read_timeline(self.path)

@@ -122,7 +122,7 @@ def check_effects(
 
 
 def _unused_variants_fault(spec: BatchSpec, scene: Scene) -> Fault:
-    """Return the fault of a scene that uses no variant, located in the batch."""
+    """Return a fault, located in the batch, for a scene that uses no variant."""
     assert spec.variants is not None
     names, used_names = spec.variants.names, sorted(scene.effective_variables)
     file_name = Path(str(scene.path)).name
@@ -139,7 +139,7 @@ def _unused_variants_fault(spec: BatchSpec, scene: Scene) -> Fault:
 
 
 def _unused_inputs_fault(scene: Scene, item_count: int) -> Fault:
-    """Return the fault of a scene that does not use its inputs."""
+    """Return a fault for a scene that does not use its inputs."""
     message = "the scene does not use its input"
     if item_count > 1:
         message += f": all {item_count} items would be the same"

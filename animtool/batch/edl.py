@@ -54,7 +54,7 @@ _FREEZE_COMMENT = re.compile(r"\*\s*\*?\s*FREEZE FRAME", re.I)
 
 @dataclass(slots=True)
 class Event:
-    """An event of an EDL, as text that is not parsed yet."""
+    """An event of an EDL, as unparsed text."""
 
     line: int
     number: str
@@ -195,7 +195,7 @@ class TimelineBuilder:
         return timeline, self.notices
 
     def event_times(self, event: Event) -> _EventTimes | None:
-        """Return the times of an event; None with a fault if they are invalid."""
+        """Return the times of an event, or None after recording a fault."""
         try:
             frames = [self.parse_frame(text) for text in event.times]
         except ValueError as error:

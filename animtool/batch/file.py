@@ -50,7 +50,7 @@ def value_text(document: Document, location: Location, value: VariableValue) -> 
 def read_variables(
     document: Document, location: Location, values: Mapping[str, VariableValue]
 ) -> dict[str, str]:
-    """Return variables as text; record faults of invalid names."""
+    """Return variables as text; record a fault for each invalid name."""
     for name in values:
         if not is_variable_name(name):
             message = f"{name!r} is not a valid variable name"
@@ -65,7 +65,7 @@ def read_variables(
 def read_overrides(
     document: Document, models: Sequence[OverrideModel], reserved_names: Collection[str]
 ) -> tuple[Override, ...]:
-    """Return the overrides of a batch file; record faults of variable names.
+    """Return the overrides of a batch file; record faults in variable names.
 
     Overrides cannot set ``reserved_names``, whose values come from elsewhere.
     """
@@ -108,7 +108,7 @@ class _VariantReader:
         self.document, self.reserved_names = document, reserved_names
 
     def columns(self, columns: Mapping[str, Any]) -> dict[str, list[str]]:
-        """Return the values of each column by its name; record faults of both."""
+        """Return the values of each column by its name; record faults in either."""
         self._check_names(VARIANTS_LOCATION, list(columns))
         return {
             name: list(self._values((*VARIANTS_LOCATION, name), entry))
@@ -269,7 +269,7 @@ class _BatchReader:
         return text
 
     def _variants(self) -> Variants | None:
-        """Return the variants; None without any, or with faults."""
+        """Return the variants; None if there are none, or after recording faults."""
         variants = self.model.variants
         if not variants:
             if "variants" in self.model.model_fields_set:

@@ -150,7 +150,7 @@ def _matched_inputs(
 
 
 def input_faults(spec: BatchSpec, document: Document) -> list[Fault]:
-    """Return a warning for each entry without a file, and a fault of the output."""
+    """Return a warning for each entry without a file, and faults in the output."""
     files, _, unmatched = _matched_inputs(spec)
     shared = shared_output_fault(spec, files)
     if shared is None:
@@ -160,7 +160,7 @@ def input_faults(spec: BatchSpec, document: Document) -> list[Fault]:
 
 
 def shared_output_fault(spec: BatchSpec, files: Sequence[MatchedFile]) -> Fault | None:
-    """Return the fault of one output file for several inputs (OUT007); else None.
+    """Return a fault if several inputs have the same output (OUT007), else None.
 
     Shots and variants are compared with their outputs, when these are known.
     """
@@ -201,7 +201,7 @@ def _unmatched_fault(
 
 
 def missing_inputs_error(spec: BatchSpec) -> NoMatchError:
-    """Return the error of a batch without items (BAT005), with a hint."""
+    """Return the error for a batch without items (BAT005), with a hint."""
     if spec.cuts is not None:
         message = "has no clip with media"
         hint = "a clip without media uses the INPUT with its name: pass takes too"

@@ -83,7 +83,7 @@ def complete_pattern(pattern: str, name: str) -> str:
 def pattern_problems(
     pattern: str, variables: Mapping[str, str]
 ) -> Iterator[tuple[str, str]]:
-    """Yield a message and a hint for each fault of an output pattern.
+    """Yield a message and a hint for each fault in an output pattern.
 
     >>> list(pattern_problems("out/{stm}.usdc", {}))
     [("unknown name in 'out/{stm}.usdc': {stm}", "did you mean 'stem'?")]
@@ -201,21 +201,21 @@ class PathRule:
 def read_path_rules(path: Path) -> list[PathRule]:
     """Return the path rules of a file; empty if the file has none."""
     try:
-        record = read_json(path, MAX_RULES_BYTES)
+        data = read_json(path, MAX_RULES_BYTES)
         key = "path_mapping_rules"
-        rules = list_in(record, key) if key in record else ()
+        rules = list_in(data, key) if key in data else ()
         return [_parse_rule(checked_object(rule)) for rule in rules]
     except RecordError as error:
         message = f"is not a file of path mapping rules: {error}"
         raise FormatError(Fault("BAT038", message, str(path))) from error
 
 
-def _parse_rule(record: Mapping[str, Any]) -> PathRule:
-    path_format = text_in(record, "source_path_format")
+def _parse_rule(data: Mapping[str, Any]) -> PathRule:
+    path_format = text_in(data, "source_path_format")
     if path_format not in _PATH_CLASSES:
         raise RecordError(f"unknown 'source_path_format' {excerpt(path_format)}")
-    source = _PATH_CLASSES[path_format](text_in(record, "source_path"))
-    return PathRule(source, text_in(record, "destination_path"))
+    source = _PATH_CLASSES[path_format](text_in(data, "source_path"))
+    return PathRule(source, text_in(data, "destination_path"))
 
 
 def map_path(text: str, rules: Sequence[PathRule]) -> str:

@@ -218,7 +218,7 @@ class Ledger:
         self._exit_stack.close()
 
     def merge_records(self, should_keep: Callable[[ItemRecord], bool]) -> None:
-        """Rewrite the records of the full batch, merged with those of parts."""
+        """Merge the records of partial runs into those of the full batch."""
         self.close()
         if self._files.part:
             return

@@ -52,7 +52,7 @@ def locate_value_faults(spec: BatchSpec) -> Iterator[None]:
 
 
 def _locate_faults(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
-    """Return faults of a scene, moved to the batch for values from there."""
+    """Return the faults of a scene, located in the batch for values from there."""
     from animtool.documents.placeholders import value_at  # loads pydantic
 
     values = {**spec.variables, **spec.rows[0]}

@@ -61,7 +61,7 @@ class FileRecord:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> FileRecord:
-        """Return the record of `as_dict`."""
+        """Return the record from the values of `as_dict`."""
         path = text_in(values, "path")
         if "absent" in values:
             if values["absent"] is not True or "size" in values:
@@ -105,7 +105,7 @@ class ItemRecord:
     def from_dict(
         cls, values: Mapping[str, Any], files_by_number: Mapping[int, FileRecord]
     ) -> ItemRecord:
-        """Return the record of `as_dict`."""
+        """Return the record from the values of `as_dict`."""
         outputs = _nonempty_list(values, "outputs")
         scores = list_in(values, "scores") if "scores" in values else ()
         return cls(
@@ -132,8 +132,8 @@ def _referenced_files(
         yield file
 
 
-def _nonempty_list(record: Mapping[str, Any], key: str) -> Sequence[Any]:
-    entries = list_in(record, key)
+def _nonempty_list(data: Mapping[str, Any], key: str) -> Sequence[Any]:
+    entries = list_in(data, key)
     if not entries:
         raise RecordError(f"{key!r} is empty")
     return entries
@@ -192,7 +192,7 @@ class Manifest:
         self.known_names.update(output.path for output in record.outputs)
 
     def merge(self, other: Manifest) -> None:
-        """Add the records of another manifest; of equal keys the newer one stays."""
+        """Add the records of another manifest; for equal keys, keep the newer one."""
         for record in other.items.values():
             self.add(record)
         self.known_names |= other.known_names
@@ -266,7 +266,7 @@ class ManifestWriter(LineWriter):
 def rewrite_manifest(
     path: Path, items: Iterable[ItemRecord], known_names: Iterable[str]
 ) -> None:
-    """Replace a manifest by one with the given items and names, atomically."""
+    """Replace a manifest atomically with one of the given items and names."""
     with (
         replacement_path(path) as temporary,
         ManifestWriter(temporary, Manifest()) as writer,
@@ -276,28 +276,28 @@ def rewrite_manifest(
             writer.add(record)
 
 
-def _parse_pass_scores(record: Mapping[str, Any]) -> PassScores:
-    names = checked_object(record.get("names"))
+def _parse_pass_scores(data: Mapping[str, Any]) -> PassScores:
+    names = checked_object(data.get("names"))
     return PassScores(
         tuple(
             _parse_score(checked_object(entry))
-            for entry in _nonempty_list(record, "scores")
+            for entry in _nonempty_list(data, "scores")
         ),
         {score_name: tuple(texts_in(names, score_name)) for score_name in names},
-        text_in(record, "pass"),
-        text_in(record, "where"),
+        text_in(data, "pass"),
+        text_in(data, "where"),
     )
 
 
-def _parse_score(record: Mapping[str, Any]) -> Score:
-    unit = text_in(record, "unit")
+def _parse_score(data: Mapping[str, Any]) -> Score:
+    unit = text_in(data, "unit")
     if unit not in {*ScoreUnit}:
         raise RecordError(f"unknown unit of a score: {unit!r}")
     value, typical_value, ideal_value = (
-        number_in(record, key, -math.inf) for key in ("value", "usual", "ideal")
+        number_in(data, key, -math.inf) for key in ("value", "usual", "ideal")
     )
     if typical_value <= ideal_value:
         raise RecordError("'usual' is not above 'ideal'")
     return Score(
-        text_in(record, "name"), value, ScoreUnit(unit), typical_value, ideal_value
+        text_in(data, "name"), value, ScoreUnit(unit), typical_value, ideal_value
     )

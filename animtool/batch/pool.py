@@ -229,7 +229,7 @@ class _Pool:
             worker.end(is_killed=False)
 
     def _exceeded_limit(self, worker: _Worker) -> Fault | None:
-        """Return the fault of a worker's item that exceeds its limits, else None."""
+        """Return a fault if a worker's item exceeds its limits, else None."""
         limits = self.limits
         if worker.item is None or worker not in self.workers:
             return None

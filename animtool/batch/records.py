@@ -79,10 +79,10 @@ def checked_object(value: object) -> dict[str, Any]:
 
 
 def text_in(
-    record: Mapping[str, Any], key: str, max_length: int = MAX_TEXT_LENGTH
+    data: Mapping[str, Any], key: str, max_length: int = MAX_TEXT_LENGTH
 ) -> str:
     """Return the text of a key; refuse other types, long texts and NUL."""
-    return _checked_text(record.get(key), key, max_length)
+    return _checked_text(data.get(key), key, max_length)
 
 
 def _checked_text(value: object, key: str, max_length: int = MAX_TEXT_LENGTH) -> str:
@@ -95,25 +95,25 @@ def _checked_text(value: object, key: str, max_length: int = MAX_TEXT_LENGTH) ->
     return value
 
 
-def texts_in(record: Mapping[str, Any], key: str) -> list[str]:
+def texts_in(data: Mapping[str, Any], key: str) -> list[str]:
     """Return the list of texts of a key, each checked as in `text_in`."""
-    return [_checked_text(value, key) for value in list_in(record, key)]
+    return [_checked_text(value, key) for value in list_in(data, key)]
 
 
 def integer_in(
-    record: Mapping[str, Any], key: str, minimum: int = 0, maximum: int = MAX_INTEGER
+    data: Mapping[str, Any], key: str, minimum: int = 0, maximum: int = MAX_INTEGER
 ) -> int:
     """Return the integer value of a key, checked for its range."""
-    value = record.get(key)
+    value = data.get(key)
     # A boolean is an int in Python.
     if type(value) is not int or not minimum <= value <= maximum:
         raise RecordError(f"{key!r} is not a whole number from {minimum} to {maximum}")
     return value
 
 
-def number_in(record: Mapping[str, Any], key: str, minimum: float = 0.0) -> float:
+def number_in(data: Mapping[str, Any], key: str, minimum: float = 0.0) -> float:
     """Return the finite number of a key, checked for its minimum."""
-    value = record.get(key)
+    value = data.get(key)
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise RecordError(f"{key!r} is not a number")
     try:
@@ -125,9 +125,9 @@ def number_in(record: Mapping[str, Any], key: str, minimum: float = 0.0) -> floa
     return number
 
 
-def list_in(record: Mapping[str, Any], key: str) -> Sequence[Any]:
+def list_in(data: Mapping[str, Any], key: str) -> Sequence[Any]:
     """Return the list of a key; raise an error for other types."""
-    value = record.get(key)
+    value = data.get(key)
     if not isinstance(value, list):
         raise RecordError(f"{key!r} is not a list")
     return value

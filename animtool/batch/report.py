@@ -72,7 +72,7 @@ class ItemReport:
 
     @property
     def failure_text(self) -> str:
-        """Why the item failed, in one line; empty without faults."""
+        """Why the item failed, in one line; empty if it did not."""
         if not self.faults:
             return ""
         first_fault, *others = self.faults

@@ -119,7 +119,7 @@ def is_time_effect(effect: Any) -> bool:
 
 
 def transition_offsets(shown_clip: ShownClip) -> tuple[Any, Any]:
-    """Return how far transitions extend a clip before and after it; None for none."""
+    """Return how far transitions extend a clip before and after it, or None."""
     import opentimelineio as otio
 
     transition_type = otio.schema.Transition
@@ -161,7 +161,7 @@ class ClipVisitor:
                 self._visit_item(track, name, name, window, Fraction(0), tracks_speed)
 
     def _is_video(self, item: Any, item_text: str) -> bool:
-        """Return whether a track or stack is a video track; else note that."""
+        """Return whether a track or stack is a video track; record it if not."""
         kind = getattr(item, "kind", "Video")
         if kind != "Video":
             self._note("BAT043", f"{item_text}, of type {kind}, is skipped")

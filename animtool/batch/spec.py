@@ -67,7 +67,7 @@ PARENT_FOLDER = ".."
 
 
 def relative_name(path: Path, root: Path) -> str:
-    """Return the path of a file relative to a folder; absolute without a common root.
+    """Return a file's path relative to a folder, or absolute if they share none.
 
     >>> relative_name(Path("/job/takes/a.bvh"), Path("/job/out"))
     '../takes/a.bvh'

@@ -259,7 +259,7 @@ def file_name_part(value: str) -> str:
 
 
 def read_variants(path: Path) -> Variants:
-    """Return the table of a CSV file: names in the first line, then a variant a line.
+    """Return the table of a CSV file: names in the first line, then a variant per line.
 
     Columns are separated by commas, in ``.tsv`` files by tabs. Blank lines are skipped.
     All faults of the file are raised at once, each with line and column.

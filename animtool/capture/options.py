@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class CleanOptions:
-    """Options of removing spikes and filtering noise.
+    """Options for removing spikes and filtering noise.
 
     Attributes:
         spikes: Longest spike that is removed [frames]; 0 leaves them.
@@ -42,7 +42,7 @@ class CleanOptions:
 @inherits_docs
 @dataclass(frozen=True, slots=True)
 class TriangulateOptions:
-    """Options of triangulation.
+    """Options for triangulation.
 
     Attributes:
         noise: Standard deviation of a pixel coordinate [px]; None measures it.

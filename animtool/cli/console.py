@@ -89,7 +89,7 @@ def _option_names(argument: Argument) -> tuple[str, ...]:
 
 
 def _find_option(command: click.Command, names: tuple[str, ...]) -> click.Option | None:
-    """Return the option of a command with the first known name; None without any."""
+    """Return the first of some named options that a command has, or None."""
     options = [param for param in command.params if isinstance(param, click.Option)]
     for name in names:
         for option in options:
@@ -218,7 +218,7 @@ class Console:
     def progress(
         self, label: str, *, is_stdout: bool = False
     ) -> Iterator[Callable[[float], None] | None]:
-        """Yield a progress callback, or None without a terminal."""
+        """Yield a progress callback, or None if there is no terminal."""
         if not self.is_live() or (is_stdout and sys.stdout.isatty()):
             yield None
             return

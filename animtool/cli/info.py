@@ -332,9 +332,9 @@ def _describe_take(path: Path, params: dict[str, Any]) -> Any:
     from animtool.report.describe import describe
 
     if reader_of(path) is GLTF:
-        from animtool.report.describe_gltf import describe_without_nodes
+        from animtool.report.describe_gltf import describe_nodeless_gltf
 
-        description = describe_without_nodes(path)
+        description = describe_nodeless_gltf(path)
         if description is not None:
             return description
     options = read_source_options(

@@ -74,7 +74,7 @@ def is_out_of_memory(error: BaseException | None) -> bool:
 
 
 def memory_fault(error: BaseException) -> Fault:
-    """Return the fault of an out-of-memory error, with the size and the failed step."""
+    """Return a fault for an out-of-memory error, with the size and the failed step."""
     description = str(error).strip().rstrip(".")
     message = f"out of memory: {description}" if description else "out of memory"
     function_name = _innermost_function(error)
@@ -110,7 +110,7 @@ def memory_limit_bytes() -> int | None:
 
 
 def crash_reason(name: str, path: str = "") -> Fault | None:
-    """Return the fault of a process that was killed from outside, else None.
+    """Return a fault if the process was killed from outside, else None.
 
     ``path`` is the file that USD was reading, or "".
     """
@@ -280,7 +280,7 @@ def main(arguments: Sequence[str] | None = None) -> NoReturn:
 
 
 class _CrashError(Exception):
-    """The child process crashed while it read a file that is not known."""
+    """The child process crashed while reading an unknown file."""
 
 
 def _remove_leftovers(folders: Sequence[str], process_id: int) -> None:
@@ -335,7 +335,7 @@ def _run(arguments: Sequence[str], console: Console) -> int:
 
 
 def _report_error(console: Console, error: BaseException) -> int:
-    """Report the error that ended the command and return its exit code."""
+    """Print the error that ended the command, and return its exit code."""
     match error:
         case AnimtoolError():
             console.faults(_with_options(console, error.faults), is_fatal=True)

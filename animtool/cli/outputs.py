@@ -90,7 +90,7 @@ def skip_existing_outputs(
     output: Path | None,
     outputs: Callable[[], Sequence[Path]],
 ) -> bool:
-    """Report and return whether ``--skip-existing`` skips the output."""
+    """Return whether ``--skip-existing`` skips the output, and print it if so."""
     if output in {None, STDOUT} or not params["skip_existing"]:
         return False
     if params["overwrite"]:

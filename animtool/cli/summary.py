@@ -293,7 +293,7 @@ def template_of(report: BakeReport | ConvertReport) -> Template:
 
 
 def _other_prims_text(step: PlanStep, name: str) -> str:
-    """Return the prims that a step reads or writes, unless only its own, as text."""
+    """Return the prims that a step reads or writes as text, unless only its own."""
     prim_names = getattr(step, name)
     return "" if prim_names == (step.name,) else ", ".join(prim_names)
 

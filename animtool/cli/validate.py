@@ -160,7 +160,7 @@ def _show_difference(
 
 
 def _finding_key(fault: Fault) -> tuple[str | None, str, str | None]:
-    """Return a key of a finding that fixes of other findings do not change."""
+    """Return a key of a finding that stays the same when others are fixed."""
     return fault.path, fault.code, fault.where
 
 

@@ -260,7 +260,7 @@ class CurveReader:
     def _read_values(
         self, component_count: int, repeat_count: int
     ) -> FloatArray | None:
-        """Return the values of keys ``(K, D)``; None with a fault otherwise."""
+        """Return the values of keys ``(K, D)``, or None after recording a fault."""
         value_rows = []
         shown_hints: set[str] = set()  # hints that hold for the channel
         for k, key in enumerate(self._key_models):

@@ -117,7 +117,7 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
 
 
 def _part_fault(name: str, rig: Rig | None) -> Fault:
-    """Return the fault of a joint target whose part is missing or unknown."""
+    """Return a fault for a joint target whose part is missing or unknown."""
     joint, part = split_part(name.replace("/", "."), KEYED_PARTS)
     if part and rig is not None and joint in rig.names:
         hint = f"write joint/{joint}.{part}"
@@ -132,7 +132,7 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
 
 
 def check_targets(targets: Iterable[str], rig: Rig) -> None:
-    """Raise the faults of all targets that the rig lacks."""
+    """Raise a fault for each target that the rig lacks."""
     kinds_or_faults = [target_kind(target, rig) for target in targets]
     faults = [result for result in kinds_or_faults if isinstance(result, Fault)]
     if faults:

@@ -251,27 +251,27 @@ def curve_lines(channel: ClipChannel, unit: float) -> Iterator[str]:
 
 
 def _key_entries(
-    channel: ClipChannel, k: int, interp: Interp, tangent: Tangent, unit: float
+    channel: ClipChannel, key_index: int, interp: Interp, tangent: Tangent, unit: float
 ) -> Iterator[str]:
     """Yield the entries of a key that differ from the channel's."""
-    numbers = channel.values[k].tolist()
+    numbers = channel.values[key_index].tolist()
     if numbers[3:]:
         x, y, z, w = numbers
         numbers = [w, x, y, z]
-    yield f"t: {decimal_text(float(channel.times[k]))}"
+    yield f"t: {decimal_text(float(channel.times[key_index]))}"
     yield f"v: {_value_text(numbers, unit)}"
-    if channel.interps[k] is not interp:
-        yield f"interp: {channel.interps[k]}"
-    handles = (channel.ins[k].tolist(), channel.outs[k].tolist())
+    if channel.interps[key_index] is not interp:
+        yield f"interp: {channel.interps[key_index]}"
+    handles = (channel.ins[key_index].tolist(), channel.outs[key_index].tolist())
     for name, handle_tangent, (dt, *dv) in zip(
-        ("in", "out"), channel.tangents[k], handles, strict=True
+        ("in", "out"), channel.tangents[key_index], handles, strict=True
     ):
         if handle_tangent is Tangent.FREE:
             yield f"{name}: {flow_list([decimal_text(dt), _value_text(dv, unit)])}"
         elif handle_tangent is not tangent:
             yield f"{name}: {handle_tangent}"
-    if channel.tcb[k].any():
-        tcb = [decimal_text(value) for value in channel.tcb[k].tolist()]
+    if channel.tcb[key_index].any():
+        tcb = [decimal_text(value) for value in channel.tcb[key_index].tolist()]
         yield f"tcb: {flow_list(tcb)}"
 
 

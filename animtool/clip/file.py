@@ -149,7 +149,7 @@ def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
 
 
 def _raise_missing_rig(file: ClipFile) -> NoReturn:
-    """Raise the faults of a clip whose rig is missing."""
+    """Raise faults if the rig of a clip is missing."""
     message = f"{file.model.rig!r} does not exist"
     suggestion = similar_file_hint(file.document, file.model.rig or "")
     other_rig_text = f"pass another rig with {argument('source.rig')}"

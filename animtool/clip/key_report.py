@@ -46,7 +46,7 @@ def channel_deviations(
     keyed_motion: Motion,
     controls: Mapping[str, FloatArray],
 ) -> tuple[ChannelDeviation, ...]:
-    """Return the largest error of each channel of a clip: ``controls`` ``(F,)``."""
+    """Return the largest error of each channel of a clip; controls are ``(F,)``."""
     units = ClipUnits.of_rig(rig)
     control_keys = {}
     if keyed_motion.controls is not None:

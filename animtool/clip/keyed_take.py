@@ -161,7 +161,7 @@ class _KeyingJob:
         driven_values = evaluate_controls(rig.controls, self.solution.values)
         exact_targets = driven_values.targets | unkeyable_values
         weights = self._weight_tracks(exact_targets, exact_targets)
-        weight_tolerance = WEIGHT_TOLERANCE * factor / _combination_growth(rig, weights)
+        weight_tolerance = WEIGHT_TOLERANCE * factor / _combination_gain(rig, weights)
         exact_tracks = joint_tracks(
             rig, self.joint_motions, exact_targets, exact_targets, self.tolerances
         )
@@ -274,7 +274,7 @@ class _KeyingJob:
         return tracks
 
 
-def _combination_growth(rig: Rig, tracks: list[KeyTrack]) -> float:
+def _combination_gain(rig: Rig, tracks: list[KeyTrack]) -> float:
     """Return the factor by which combination shapes amplify errors [1], at least 1."""
     keyed_shapes = {track.index for track in tracks}
     shape_weights = {s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)}

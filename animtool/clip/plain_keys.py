@@ -30,7 +30,7 @@ class PlainKeys:
 
     @staticmethod
     def from_entries(entries: Any) -> PlainKeys | None:
-        """Return keys as columns; None if a key is invalid or not only `t` and `v`.
+        """Return keys as columns; None if one is invalid or has more than `t` and `v`.
 
         >>> keys = PlainKeys.from_entries([{"t": 1, "v": [0.5, 2]}])
         >>> keys.values.tolist()

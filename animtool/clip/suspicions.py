@@ -451,7 +451,7 @@ def _warn_of_controls(clip: CheckedClip) -> None:
 def _driving_controls(
     rig: Rig, target: str, keyed_values: Mapping[str, FloatArray]
 ) -> list[str]:
-    """Return the keyed controls that drive a target; all keyed controls without one."""
+    """Return the keyed controls that drive a target, or all if none does."""
     names = [
         control.name
         for control in rig.controls

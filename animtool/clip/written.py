@@ -81,7 +81,7 @@ def _unchanged_keys(take: Take, options: WriteOptions) -> Clip | None:
 
 
 def _skipped_content_warnings(take: Take) -> list[Fault]:
-    """Return a warning of content that a clip cannot store."""
+    """Return a warning about content that a clip cannot store."""
     names = [*(track.path for track in take.tracks), *take.motion.points]
     if not names:
         return []

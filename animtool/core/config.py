@@ -52,7 +52,7 @@ def _depth_error(position: str = "") -> ValueError:
 
 
 def _nested_values(value: Any) -> Iterable[Any]:
-    """Return the direct values of a table or a list; empty for other values."""
+    """Return the values of a table or items of a list; empty for anything else."""
     if isinstance(value, dict):
         return value.values()
     return value if isinstance(value, list) else ()
@@ -88,7 +88,7 @@ class Config:
     validate: Mapping[str, Any] = field(default_factory=dict)
     # Maximum size read from one archive of arrays [MB]; None for 1000.
     max_array_mb: int | None = None
-    path: Path | None = None  # the settings file; None without one
+    path: Path | None = None  # the settings file; None if there is none
     timeline: TimelineConfig = TimelineConfig()
 
 
@@ -122,7 +122,7 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _toml_fault(problem: str, path: str) -> Fault:
-    """Return the fault of malformed TOML, made from the parser's message."""
+    """Return a fault for malformed TOML, from the parser's message."""
     match = re.fullmatch(r"(.*) \(at line (\d+), column (\d+)\)", problem)
     if match is None:
         problem = problem.removesuffix(" (at end of document)")
@@ -178,7 +178,7 @@ def _is_integer(value: Any) -> bool:
 
 
 def _value_error(path: Path, message: str, hint: str | None = None) -> OptionError:
-    """Return the error of a setting with an invalid value (CFG003)."""
+    """Return the error for a setting with an invalid value (CFG003)."""
     return OptionError(Fault("CFG003", message, str(path), hint=hint))
 
 
@@ -213,7 +213,7 @@ def _timeline_from_table(path: Path, table: Any) -> TimelineConfig:
 def project_roots(path: Path) -> tuple[Path, ...]:
     """Return the folders whose files a file may refer to.
 
-    The folders are those of the project's settings; without settings, the nearest
+    The folders are those of the project's settings; if it has none, the nearest
     parent folder under version control, else the folder of the file.
     """
     folder = path.resolve().parent
@@ -221,7 +221,7 @@ def project_roots(path: Path) -> tuple[Path, ...]:
 
 
 def _version_control_root(folder: Path) -> Path | None:
-    """Return the nearest folder under version control; None without one.
+    """Return the nearest folder under version control; None if there is none.
 
     A home folder or file system root under version control is no project, since its
     files come from anywhere.
@@ -235,7 +235,7 @@ def _version_control_root(folder: Path) -> Path | None:
 
 
 def innermost_project(folder: Path, target: Path) -> Path | None:
-    """Return the innermost project that contains both paths; None without one."""
+    """Return the innermost project that contains both paths; None if there is none."""
     for folder_above in (folder, *folder.parents):
         if target.is_relative_to(folder_above):
             return folder_above if _may_be_project(folder_above) else None

@@ -183,13 +183,13 @@ _BROADCAST_RATES = {
 }
 
 
-def exact_number(text: FractionLike) -> Fraction:
+def exact_number(number: FractionLike) -> Fraction:
     """Return an exact number from ``24``, ``23.976`` or ``24000/1001``.
 
     >>> exact_number("1e-3")
     Fraction(1, 1000)
     """
-    text = (text if isinstance(text, str) else _number_text(text)).strip()
+    text = (number if isinstance(number, str) else _number_text(number)).strip()
     exponent = text.lower().partition("e")[2]
     # Numbers of millions of digits would take hours.
     if len(text) > MAX_NUMBER_DIGITS or len(exponent) > len("-300"):
@@ -197,7 +197,7 @@ def exact_number(text: FractionLike) -> Fraction:
     return Fraction(text)
 
 
-def parse_rate(text: FractionLike) -> Fraction:
+def parse_rate(rate: FractionLike) -> Fraction:
     """Return a rate from ``24``, ``23.976`` or ``24000/1001``.
 
     A fraction is used as it is.
@@ -205,23 +205,21 @@ def parse_rate(text: FractionLike) -> Fraction:
     >>> parse_rate("29.97")
     Fraction(30000, 1001)
     """
-    if not isinstance(text, str):
-        text = _number_text(text)
-    text = text.strip()
+    text = (rate if isinstance(rate, str) else _number_text(rate)).strip()
     if text in _BROADCAST_RATES:
         return _BROADCAST_RATES[text]
     try:
-        rate = exact_number(text)
+        exact_rate = exact_number(text)
     except (ValueError, ArithmeticError) as error:
         raise RateError(
             f"{excerpt(text)} is not a frame rate such as 24, 23.976 or 24000/1001"
         ) from error
-    if not MIN_STATED_RATE <= rate <= MAX_STATED_RATE:
+    if not MIN_STATED_RATE <= exact_rate <= MAX_STATED_RATE:
         rate_text = excerpt(text).strip("'")
         raise RateError(
             f"a frame rate is between 0.001 and 100000, such as 24, not {rate_text}"
         )
-    return rate
+    return exact_rate
 
 
 def _number_text(number: object) -> str:

@@ -332,7 +332,7 @@ def find_reader(path: Path) -> Reader:
 
 
 def export_fault(path: Path) -> Fault:
-    """Return the fault of a file that must be exported before it is read (IO002)."""
+    """Return a fault for a file that must be exported before it is read (IO002)."""
     about, hint = EXPORT_HINTS[path.suffix.lower()]
     message = f"{path.suffix} is not read: it is {about}"
     return Fault("IO002", message, str(path), (), hint)

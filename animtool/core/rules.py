@@ -87,7 +87,7 @@ class Rule:
 
     @property
     def kinds(self) -> frozenset[Kind]:
-        """Kinds of the files that the rule validates; empty without a check."""
+        """Kinds of the files that the rule validates; empty if it has no check."""
         if self.kind is None:
             return frozenset()
         return frozenset([self.kind]) if isinstance(self.kind, Kind) else self.kind
@@ -177,7 +177,7 @@ def _parse_list(value: str) -> tuple[str, ...]:
 
 @cache
 def all_rules() -> tuple[Mapping[str, Rule], tuple[Fault, ...]]:
-    """Return all rules by code, including plug-ins, and the faults of broken plug-ins.
+    """Return all rules by code, including plug-ins, and faults for broken plug-ins.
 
     The name of an entry point is the code of its rule.
     """
@@ -268,7 +268,7 @@ def _rule_entry_points() -> list[EntryPoint]:
 
 
 def _load_rule(point: EntryPoint) -> Rule | Fault:
-    """Return the rule of a plug-in, or the fault of loading it."""
+    """Return the rule of a plug-in, or a fault if it cannot be loaded."""
     description = f"the plug-in rule {point.name!r} ({point.value})"
     try:
         rule = load_plugin(point, Rule)

@@ -38,7 +38,7 @@ class MediaTimecode:
     drop_frame: bool = False
 
     def label(self, seconds: Fraction) -> str:
-        """Return the time code at a media time [s], or the seconds without a rate.
+        """Return the time code at a media time [s], or the seconds if it has no rate.
 
         >>> MediaTimecode(Fraction(25), Fraction(3600)).label(Fraction(1, 2))
         '01:00:00:12'
@@ -172,7 +172,7 @@ class Shot:
 
     @property
     def media_times(self) -> dict[str, float]:
-        """Media times and speed; empty without placed media."""
+        """Media times and speed; empty if no media are placed."""
         if not self.places_media:
             return {}
         return {

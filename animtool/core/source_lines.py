@@ -64,7 +64,7 @@ def crop_line(line: str, column: int) -> Iterator[str]:
 
 
 def excerpt_lines(fault: Fault, sources: SourceLineCache) -> tuple[str, ...]:
-    """Return the source line of a fault and a caret line; empty without a line."""
+    """Return the source line of a fault and a caret line; empty if it has no line."""
     if fault.path is None or not fault.lines:
         return ()
     number = fault.lines[0]

@@ -11,13 +11,15 @@ _DROPPED_LABELS = {Fraction(30000, 1001): 2, Fraction(60000, 1001): 4}
 _LABEL_PATTERN = re.compile(r"(\d\d):(\d\d):(\d\d)([:;])(\d\d+)(\.\d{1,18})?")
 
 
-def is_timecode(text: object) -> bool:
+def is_timecode(value: object) -> bool:
     """Return whether a text is a time code at any rate.
 
     >>> is_timecode("01:00:00;02"), is_timecode("1 h")
     (True, False)
     """
-    return isinstance(text, str) and _LABEL_PATTERN.fullmatch(text.strip()) is not None
+    return (
+        isinstance(value, str) and _LABEL_PATTERN.fullmatch(value.strip()) is not None
+    )
 
 
 def nominal_rate(rate: Fraction) -> int:

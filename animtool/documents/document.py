@@ -375,7 +375,7 @@ def read_text(path: Path) -> str:
 
 
 def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:
-    """Merge the faults of a key that is unknown in several entries of one list.
+    """Merge faults for a key that is unknown in several entries of one list.
 
     The merged fault has the location of the first entry and the lines of all.
     """

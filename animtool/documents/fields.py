@@ -43,7 +43,7 @@ Integer = Annotated[int, Field(ge=-MAX_INTEGER, le=MAX_INTEGER)]
 Frame = Annotated[float, Field(ge=-MAX_FRAME, le=MAX_FRAME)]
 IntegerFrame = Annotated[int, Field(ge=-int(MAX_FRAME), le=int(MAX_FRAME))]
 Positive = Annotated[Real, Gt(0), Ge(MIN_POSITIVE)]
-NotNegative = Annotated[Real, Ge(0)]
+NonNegative = Annotated[Real, Ge(0)]
 # A number of bodies.
 Count = Annotated[Integer, Ge(1), Le(2 * 10**6)]
 # A single line; no control characters, and no longer than the longest path.

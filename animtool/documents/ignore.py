@@ -38,7 +38,7 @@ class IgnoreEntries:
         return [fault for fault in faults if not self._match_entries(fault)]
 
     def entry_faults(self) -> Iterator[Fault]:
-        """Yield faults of the entries; call this after all findings were matched."""
+        """Yield faults in the entries; call this after all findings were matched."""
         rules, _ = all_rules()
         for i, entry in enumerate(_ignore_entries(self.document)):
             code = entry["code"]

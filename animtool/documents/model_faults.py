@@ -108,14 +108,14 @@ def warn_renamed_key(document: Document, location: Location, name: str) -> None:
 
 @dataclass(slots=True)
 class ModelFaults:
-    """Records the faults of a value and replaces its faulty parts by placeholders."""
+    """Records the faults in a value, and puts placeholders in their places."""
 
     document: Document  # where faults are recorded
     model: type[BaseModel]  # model of the value
     value: Any  # the document's value, with placeholders
 
     def replace_faulty(self, error: ValidationError) -> None:
-        """Record the faults of a failed validation and replace the faulty values."""
+        """Record the faults of a validation error, and replace the faulty values."""
         faults_by_location = _group_by_location(self.value, error)
         for location in self._record_misplaced_options(faults_by_location.values()):
             faults_by_location = {

@@ -64,7 +64,7 @@ _BOOLEAN_WORDS = {
 
 
 def likely_faults(faults: Sequence[Any]) -> list[Any]:
-    """Return the faults of the union member that was most likely intended."""
+    """Return the faults from the union member that was most likely intended."""
     for fault_types in _RIGHT_TYPE_FAULTS:
         matching_faults = [fault for fault in faults if fault["type"] in fault_types]
         if matching_faults:

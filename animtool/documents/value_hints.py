@@ -189,7 +189,7 @@ def vector_components(value: Any) -> list[Any] | None:
 
 
 def example_hint(model: type[BaseModel], value: Any, location: Location) -> str | None:
-    """Return a hint with the example of a key that has a scalar value."""
+    """Return a hint with the example of a key whose value is a scalar, else None."""
     field_match = field_at(model, value, location)
     if field_match is None or field_match[0] != len(location):
         return None

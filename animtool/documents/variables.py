@@ -231,7 +231,7 @@ class _Resolver:
     def safe_output_name(
         self, location: Location, text: str, resolved_text: str
     ) -> str | None:
-        """Return an output path; None with a fault if a variable makes it unsafe."""
+        """Return an output path, or None after recording that it is unsafe."""
         for component in text.split("/"):
             used_names = {match["name"] for match in _VARIABLE_USE.finditer(component)}
             if not used_names & self.component_names:
@@ -259,7 +259,7 @@ class _Resolver:
         return annotation is not None and excludes_text(annotation)
 
     def expand_text(self, location: Location, text: str) -> str | None:
-        """Return a text with its variables substituted; None with a fault."""
+        """Substitute the variables of a text; return None after recording a fault."""
         text_pieces: list[str] = []
         is_complete, use_end, length = True, 0, 0
         for use in _VARIABLE_USE.finditer(text):
@@ -275,7 +275,7 @@ class _Resolver:
         return "".join([*text_pieces, text[use_end:]]) if is_complete else None
 
     def _variable_value(self, location: Location, use: re.Match[str]) -> str | None:
-        """Return the text that replaces a use; None with a fault if it is unknown."""
+        """Return the text that replaces a use; None after recording an unknown one."""
         if use["escape"]:
             return use[0][1:]
         name = use["name"]

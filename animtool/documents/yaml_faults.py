@@ -65,7 +65,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
 
 
 def _tab_fault(lines: list[str], line: int) -> YamlFault | None:
-    """Return the fault of a tab at the scanner's line or the line above; else None."""
+    """Return a fault for a tab on the scanner's line or the line above, or None."""
     for line_number in (line, line - 1):
         source_line = lines[line_number - 1] if 1 <= line_number <= len(lines) else ""
         indent = source_line[: len(source_line) - len(source_line.lstrip())]
@@ -78,7 +78,7 @@ def _tab_fault(lines: list[str], line: int) -> YamlFault | None:
 
 
 def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault | None:
-    """Return the fault of a key without a colon, above the position of the scanner."""
+    """Return a fault for a key without a colon above the scanner's position."""
     line_text = lines[min(line, len(lines)) - 1]
     line_above = _line_above(lines, line)
     text_above = lines[line_above - 1] if line_above else ""
@@ -123,7 +123,7 @@ def _scanner_fault(lines: list[str], problem: str, line: int, column: int) -> Ya
 
 
 def _indentation_fault(lines: list[str], line: int, column: int) -> YamlFault:
-    """Return the fault of a line whose indentation matches no line above it."""
+    """Return a fault for a line whose indentation matches no line above it."""
     line_text = lines[min(line, len(lines)) - 1]
     indent, is_entry = _indent_width(line_text), line_text.lstrip().startswith("-")
     indents = [
@@ -150,7 +150,7 @@ def _bare_key(line: str) -> str | None:
 
 
 def _line_above(lines: list[str], line: int) -> int:
-    """Return the number of the nearest nonblank line above; 0 for none."""
+    """Return the number of the nearest nonblank line above; 0 if there is none."""
     for line_number in range(min(line, len(lines)) - 1, 0, -1):
         if re.match(r"\s*[^\s#]", lines[line_number - 1]):
             return line_number

@@ -130,7 +130,7 @@ class _MistakeFinder:
         return self._fault_here(f"no space after '{key}:'", hint, column)
 
     def _unclosed_fault(self, line: int) -> YamlFault:
-        """Return the fault of the innermost bracket that a line leaves open."""
+        """Return a fault for the innermost bracket that a line leaves open."""
         bracket, open_line, column, _ = self.open_brackets[-1]
         while line > open_line and not self.lines[line - 1].split("#")[0].strip():
             line -= 1
@@ -182,7 +182,7 @@ class _MistakeFinder:
         return None
 
     def _missing_comma_fault(self, letter: str) -> YamlFault | None:
-        """Return the fault of a value that follows another one without a comma."""
+        """Return a fault for a value that follows another one without a comma."""
         if self.ended_value is None:
             return None
         line, column, last_character = self.ended_value
@@ -250,7 +250,7 @@ class _MistakeFinder:
         return value_text
 
     def _after_quote_fault(self, start: int, column: int) -> YamlFault | None:
-        """Return the fault of a text that continues after a closing quote, if any."""
+        """Return a fault if a text continues after its closing quote, else None."""
         text_after = self.line[column:]
         next_text = text_after.lstrip()
         starts_value = next_text[:1] in "\"'[{"

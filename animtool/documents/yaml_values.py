@@ -50,7 +50,7 @@ TIMED_ROW_KEYS = frozenset(
 )
 PASS_TIMED_ROW_KEYS = frozenset({"curve", "weight"})
 
-# The matched group determines the kind of number; without a group it is an integer.
+# The matched group determines the kind of number; if there is none, it is an integer.
 _NUMBER = re.compile(
     r"[-+]?(?:[0-9]+(\.[0-9]*)?|(\.[0-9]+))([eE][-+]?[0-9]+)?"
     r"|0o(?P<octal>[0-7]+)|0x(?P<hexadecimal>[0-9a-fA-F]+)"
@@ -404,7 +404,7 @@ class _OpenCollection:
             self.bracket_depth += _open_bracket_count(unquoted)
 
     def _report_unspaced_key(self, reader: _YamlReader) -> None:
-        """Report a key that includes its value because a space is missing."""
+        """Record a fault if a key includes its value because a space is missing."""
         key, position = reader.previous_node()
         match = _UNSPACED_KEY.fullmatch(key)
         if match is not None:
@@ -418,7 +418,7 @@ class _OpenCollection:
         return is_integer and position == (line, column + len(digits) + 1)
 
     def report_time_keys(self, reader: _YamlReader) -> None:
-        """Report times used as mapping keys, with the correct form as a hint."""
+        """Record a fault for times used as mapping keys, with a hint to fix them."""
         if not self.time_keys:
             return
         key = self.timed_key

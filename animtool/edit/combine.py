@@ -164,7 +164,7 @@ def combine(
 ) -> Motion:
     """Return the combination of two motions with the same frames and rig.
 
-    A motion without scales has scale 1, one without shape weights has 0; controls
+    A motion with no scales has scale 1, and with no shape weights 0; controls
     change only if both motions have controls.
     """
 

@@ -190,7 +190,7 @@ def _checked_seconds(seconds: float, option: str) -> float:
 
 
 def _no_cycle_error(message: str, hint: str | None = None) -> OptionError:
-    """Return the error that there is no cycle (SCN018)."""
+    """Return the error for a take that has no cycle (SCN018)."""
     return OptionError(Fault("SCN018", f"no cycle can be found {message}", hint=hint))
 
 

@@ -48,9 +48,9 @@ class SampleTimes:
     frames: IntArray  # frame of the source at or before each sample ``(N,)``
     fractions: FloatArray  # fraction towards the next frame, in [0, 1) ``(N,)``
     # Number of dropped source samples between full frames of the result.
-    dropped_between_frames: int = 0
+    dropped_sample_count: int = 0
     # Remainder of the source after the last full frame [time codes].
-    dropped_at_end: Fraction = Fraction(0)
+    dropped_duration_at_end: Fraction = Fraction(0)
 
 
 def plan_samples(
@@ -149,7 +149,7 @@ def _dropped_samples(
 
 
 def _range_error(message: str) -> OptionError:
-    """Return the error of an invalid frame range (CLI005)."""
+    """Return the error for an invalid frame range (CLI005)."""
     return OptionError(Fault("CLI005", message))
 
 
@@ -161,7 +161,7 @@ def missing_frames_fault(
     name: str = "frame_range",
     noun: str = "take",
 ) -> Fault:
-    """Return the fault of frames that a take does not have (CLI005).
+    """Return a fault for requested frames that a take does not have (CLI005).
 
     The argument ``name`` names the frames of an object called ``noun``.
 
@@ -326,8 +326,11 @@ def resampled(
         notices = (*notices, *interpolation_notices(sampler, positions, hint))
     notices = (*notices, *rate_warning(fps))
     notices = (*notices, *single_frame_warning(times, take.clock, fps))
-    if times.dropped_at_end:
-        notices = (*notices, dropped_notice(times.dropped_at_end, fps, times.last))
+    if times.dropped_duration_at_end:
+        notices = (
+            *notices,
+            dropped_notice(times.dropped_duration_at_end, fps, times.last),
+        )
     first_code = float(new_start)
     return replace(
         take,

@@ -91,8 +91,8 @@ def _run_trim(
     check_range(options.first, options.last)
     first_code = stream.first_frame
 
-    def nearest_index(frame: float, name: str, *, is_rounded_down: bool) -> int:
-        """Return the index of the frame at or next to a time code."""
+    def round_to_frame_index(frame: float, name: str, *, is_rounded_down: bool) -> int:
+        """Return the index of the frame at a time code, or of one next to it."""
         index = (exact_fraction(frame, name) - first_code) / stream.step
         if is_rounded_down:
             return math.floor(index + FRAME_TOLERANCE)
@@ -100,10 +100,14 @@ def _run_trim(
 
     first_index, last_index = 0, None
     if options.first is not None:
-        first_index = nearest_index(options.first, "first", is_rounded_down=in_shot)
+        first_index = round_to_frame_index(
+            options.first, "first", is_rounded_down=in_shot
+        )
         first_index = max(0, first_index)
     if options.last is not None:
-        last_index = nearest_index(options.last, "last", is_rounded_down=not in_shot)
+        last_index = round_to_frame_index(
+            options.last, "last", is_rounded_down=not in_shot
+        )
     range_ends = {"first": options.first, "last": options.last}
     stated_ends = {name: end for name, end in range_ends.items() if end is not None}
     hint = seconds_hint(stated_ends, first_code, stream.fps)

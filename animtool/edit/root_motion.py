@@ -144,7 +144,7 @@ def _check_axes(axes: str) -> None:
 
 
 def _root_error(message: str, hint: str) -> OptionError:
-    """Return the error of a root joint that cannot be used (SCN020)."""
+    """Return the error for a root joint that cannot be used (SCN020)."""
     return OptionError(Fault("SCN020", message, hint=hint))
 
 

@@ -56,7 +56,7 @@ def match_joints(
 
 
 def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
-    """Return the error of an unknown joint in an option (SCN012)."""
+    """Return the error for an unknown joint in an option (SCN012)."""
     suggestions = most_similar(name, rig.names)
     message = f"{option}: unknown joint {excerpt(name)}; the rig has "
     message += listed(rig.names)
@@ -406,7 +406,7 @@ def _require_option(options: HangOptions, key: str) -> None:
 
 
 def _hang_error(message: str, where: str, hint: str | None = None) -> OptionError:
-    """Return the error of a joint that cannot hang on a rope (SIM192)."""
+    """Return the error for a joint that cannot hang on a rope (SIM192)."""
     return OptionError(Fault("SIM192", message, where=where, hint=hint))
 
 

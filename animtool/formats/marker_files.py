@@ -31,7 +31,7 @@ def is_marker_file(path: Path) -> bool:
 
 
 def marker_file_path(path: Path) -> Path:
-    """Return a path without the ``#array`` that may follow the file."""
+    """Return a path without its optional ``#array`` suffix."""
     return Path(split_reference(str(path), "")[0])
 
 

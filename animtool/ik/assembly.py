@@ -252,7 +252,7 @@ def _limbs(
     frames: dict[int, _Frame],
     local: LocalTransforms,
 ) -> tuple[list[tuple[int, int]], list[Fault]]:
-    """Return the root and middle node of each goal's limb, and the faults of limbs."""
+    """Return the root and middle node of each goal's limb, and faults in the limbs."""
     limbs = [(-1, -1)] * len(goals)
     faults: list[Fault] = []
     if not any(goal.pole > 0 for goal in goals):

@@ -38,7 +38,7 @@ class LimbTarget:
 def limb_target(
     solved_take: TakeIk, goal_index: int, frame: float
 ) -> LimbTarget | None:
-    """Return a goal's position target and limb at a time code; None without target."""
+    """Return a goal's position target and limb at a time code; None if it has none."""
     track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
     value = track.values.get("position")
     if value is None:

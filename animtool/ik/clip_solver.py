@@ -319,7 +319,7 @@ def _switch_branches(clip: ClipPath, result: IkResult) -> IkResult:
 
 
 def _squared_jump_ratios(clip: ClipPath, poses: FloatArray) -> FloatArray:
-    """Return the squared jump ratio of each step, 0 without a jump ``(F - 1,)``."""
+    """Return the squared jump ratio of each step ``(F - 1,)``; 0 if it is no jump."""
     ratios = np.zeros(max(len(poses) - 1, 0))
     rows = clip.find_jumping_frames(poses) - 1
     ratios[rows] = clip.jump_ratios(poses)[rows] ** 2

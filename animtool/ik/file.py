@@ -349,7 +349,7 @@ class _TargetsReader:
     def _read_weight(
         self, location: Location, model: float | CurveModel
     ) -> Value | None:
-        """Return a weight or weight curve; None with a fault."""
+        """Return a weight or weight curve, or None after recording a fault."""
         if not isinstance(model, CurveModel):
             return Constant((float(model),))
         curve = self.values.read_curve(location, model, "weight")

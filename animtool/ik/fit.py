@@ -53,7 +53,7 @@ class FitResult:
         is_restarted: Mask of the frames solved from a start instead of the previous
             frames ``(F,)``.
         target_indices: Index of the target assigned to each goal ``(F, E)``: its own
-            unless labels were swapped; -1 without target.
+            unless labels were swapped; -1 if it has no target.
         rounds: Number of Gauss-Newton iterations over all frames together.
         cost_before: Objective before these iterations [1].
         cost_after: Objective after these iterations [1].

@@ -238,7 +238,7 @@ def path_to_root(rig: Rig, joint: str, root: str | None = None) -> list[int]:
 
 
 def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
-    """Return the faults of a single goal."""
+    """Return the faults in a single goal."""
     faults = []
     if goal.joint not in rig.names:
         suggestions = most_similar(goal.joint, rig.names)
@@ -274,7 +274,7 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
 
 
 def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
-    """Return the faults of a goal's root."""
+    """Return the faults in the root of a goal."""
     if goal.root is None:
         return []
     if goal.root not in rig.names:
@@ -381,7 +381,7 @@ def _are_all_values_valid(packed_targets: FloatArray) -> bool:
 def _value_faults(
     packed_targets: FloatArray, is_active: BoolArray, is_missing: BoolArray
 ) -> list[Fault]:
-    """Return faults of missing or invalid values in used parts ``(B, E, 4)``."""
+    """Return faults for missing or invalid values in used parts ``(B, E, 4)``."""
     faults = []
     weights = packed_targets[:, :, WEIGHT_COLUMNS]
     is_invalid = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)

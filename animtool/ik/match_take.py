@@ -88,7 +88,7 @@ def match_take(
 ) -> TargetTracks:
     """Return targets that reproduce the limbs of a take.
 
-    Static values become constants. With ``reduce`` the rest are sparse keys; without,
+    Static values become constants. With ``reduce`` the rest are sparse keys; otherwise
     they are arrays, or for at most 12 frames and for fractional frames, a key for each
     frame.
 

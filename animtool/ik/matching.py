@@ -49,8 +49,8 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     The pole is half the limb's length off the line from root to tip, next to the middle
     joint and in the plane of the three. Where the limb is straight, the side of the
     previous bent frame is used, carried by the root joint; before that, of the next
-    bent frame; without any, the chain's ``pole_dir``, for a hinge perpendicular to its
-    axis.
+    bent frame; if there is none, the chain's ``pole_dir``, for a hinge perpendicular to
+    its axis.
 
     With the same parents of the chains, the targets reproduce the positions of tips and
     middle joints, and all rotations of bent limbs with seven degrees of freedom: a
@@ -112,7 +112,7 @@ class _BendingLimb:
         length: Length of its bones at rest [m].
         default_side: Default side of the middle joint in the root joint's frame, used
             where no pose determines it ``(3,)``.
-        hinge_axis: Axis of the middle joint in its frame ``(3,)``; 0 without a hinge.
+        hinge_axis: Axis of the middle joint in its frame ``(3,)``; 0 if no hinge.
     """
 
     root: int

@@ -327,7 +327,7 @@ def smooth(
 
 
 def smoothing_faults(seconds: float, fps: float) -> list[Fault]:
-    """Return the faults of a smoothing time and a frame rate."""
+    """Return the faults in a smoothing time and a frame rate."""
     faults = []
     if not (np.isfinite(seconds) and seconds >= 0):
         faults.append(Fault("IK014", f"smooth must be at least 0, not {seconds}"))

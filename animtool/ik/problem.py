@@ -151,7 +151,7 @@ def build(
 def _input_faults(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None, rest_weight: float
 ) -> list[Fault]:
-    """Return the faults of goals and options, before any geometry."""
+    """Return the faults in goals and options that need no geometry to find."""
     faults = [] if goals else [Fault("IK006", "the problem has no goals")]
     names = set(rig.names)
     for i, goal in enumerate(goals):
@@ -176,7 +176,7 @@ def _input_faults(
 
 
 def rest_weight_faults(weight: float) -> list[Fault]:
-    """Return the faults of a rest weight."""
+    """Return the faults in a rest weight."""
     if np.isfinite(weight) and weight >= 0:
         return []
     return [Fault("IK014", f"rest_weight must be at least 0, not {weight}")]

@@ -73,7 +73,7 @@ class IkResult:
         misses: Misses of each goal's position [m], orientation, aim and pole [rad]
             ``(B, E, 4)``; 0 for unused parts.
         reached: Mask of the goals within tolerances ``(B, E)``.
-        stretches: Bone length scales of each goal's limb ``(B, E)``: 1 without stretch.
+        stretches: Bone length scales of each goal's limb ``(B, E)``, 1 if unstretched.
         jumps: Jumps of a clip.
     """
 
@@ -105,7 +105,7 @@ class IkResult:
 
     @property
     def positions(self) -> FloatArray:
-        """Position misses of each goal ``(B, E)`` [m]; 0 without a position."""
+        """Position misses of each goal ``(B, E)`` [m]; 0 if it has no position."""
         return self.misses[:, :, PARTS.index("position")]
 
     @property

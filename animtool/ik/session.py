@@ -141,14 +141,18 @@ class Session:
         if prefer is not None:
             preferred_rows = np.asarray(prefer, np.float64)[None]
         try:
-            solution = solver.solve(start_rows, buffer, preferred_rows, placed=True)
+            solution = solver.solve(
+                start_rows, buffer, preferred_rows, returns_joint_poses=True
+            )
         except (TypeError, ValueError):
             # Invalid numbers or shapes: packing again raises the full error.
             buffer = pack(_targets_of_buffer(buffer), problem.goals)
             start_rows = pose_rows(problem, start, 1, "start")
             if prefer is not None:
                 preferred_rows = pose_rows(problem, prefer, 1, "prefer")
-            solution = solver.solve(start_rows, buffer, preferred_rows, placed=True)
+            solution = solver.solve(
+                start_rows, buffer, preferred_rows, returns_joint_poses=True
+            )
         return result_of_kernel(problem, solution)
 
     def branches(

@@ -90,7 +90,7 @@ def solve(
     if prefer is not None:
         prefer = pose_rows(problem, prefer, len(packed_targets), "prefer")
     solver = build_solver(problem, options)
-    solution = solver.solve(starts, packed_targets, prefer, placed=False)
+    solution = solver.solve(starts, packed_targets, prefer, returns_joint_poses=False)
     result = result_of_kernel(problem, solution)
     if options.near and options.method in CLOSED_FORM_METHODS | {IkMethod.DAMPED}:
         preferred_poses = starts if prefer is None else prefer
@@ -153,7 +153,9 @@ def _pull_to_preferred(
     poses, pulled_result = result.coordinates[rows], result
     for weight in PULL_WEIGHTS:
         solver = build_solver(replace(problem, rest_weight=weight), pull_options)
-        solution = solver.solve(poses, targets, preferred_poses, placed=False)
+        solution = solver.solve(
+            poses, targets, preferred_poses, returns_joint_poses=False
+        )
         pulled_result = result_of_kernel(problem, solution)
         poses = pulled_result.coordinates
     chain = problem.chain
@@ -191,7 +193,7 @@ def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fa
 
 
 def raise_faults(faults_by_option: Mapping[str, list[Fault]]) -> None:
-    """Raise the faults of all options, if there are any."""
+    """Raise all faults in the options together."""
     faults = [fault for faults in faults_by_option.values() for fault in faults]
     if faults:
         raise OptionError(faults)

@@ -65,7 +65,7 @@ def warn_of_seconds(
     Args:
         document: The targets file.
         fps: Frames per second.
-        frames: First and last frame of its range; None without a range.
+        frames: First and last frame of its range; None if it has none.
         goals: Goals of the file.
     """
     times = [

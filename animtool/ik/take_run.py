@@ -70,11 +70,11 @@ class TakeIk:
         moving_between: Joints between the solved ones that also move, or that move
             outside their types: each frame was then solved individually.
         target_distances: Smallest distance of each goal's position targets from its
-            effector in the source take ``(E,)`` [m]; 0 without any.
+            effector in the source take ``(E,)`` [m]; 0 if it has none.
         size: Largest extent of the rig's joints in the first frame [m].
-        steadier: Smoothing that reduces the jumps in a trial; None without any.
+        steadier: Smoothing that reduces the jumps in a trial; None if there is none.
         open_poles: Mask of the frames in which a pole lies on the line of its bent
-            limb ``(F, E)``; None without poles.
+            limb ``(F, E)``; None if there are no poles.
     """
 
     take: Take

@@ -249,13 +249,13 @@ class ValueReader:
     units: ClipUnits  # units of the file
     reference_roots: Sequence[Path]  # folders that references may lead into
     archives: Archives  # opens arrays while values are read
-    first: Fraction | None  # frame of the first row of arrays; None without a range
-    row_count: int | None  # required number of rows; None without a range
+    first: Fraction | None  # frame of the first row of arrays; None for no range
+    row_count: int | None  # required number of rows; None for no range
 
     def read_curve(
         self, location: Location, model: CurveModel, key: str
     ) -> KeyedValue | None:
-        """Return the value or weight of a key curve; None with a fault."""
+        """Return the value or weight of a curve, or None after recording a fault."""
         reader = CurveReader(self.document, location, model)
         reader.check()
         kind = {"orientation": "rotation", "weight": "control"}.get(key, "translation")
@@ -293,7 +293,7 @@ class ValueReader:
     def _read_keyed_or_prim(
         self, location: Location, model: ValueModel, key: str
     ) -> Value | None:
-        """Return a value from keys or from a prim; None with a fault."""
+        """Return a value from keys or from a prim, or None after recording a fault."""
         if (model.keys is None) == (model.prim is None):
             message = "has neither keys nor a prim"
             if model.prim:
@@ -324,7 +324,7 @@ class ValueReader:
     def _read_prim(
         self, location: Location, model: ValueModel, key: str
     ) -> Value | None:
-        """Return a point or rotation that follows a prim; None with a fault."""
+        """Return a value that follows a prim, or None after recording a fault."""
         motion = self._open_prim_motion(location, model)
         if motion is None:
             return None
@@ -338,7 +338,7 @@ class ValueReader:
     def _open_prim_motion(
         self, location: Location, model: ValueModel
     ) -> PrimMotion | None:
-        """Return the motion of a prim; None if it cannot be read, or without a rig."""
+        """Return the motion of a prim; None if it is unreadable, or there is no rig."""
         path = self._find_stage(location, model)
         if path is None:
             return None
@@ -404,7 +404,7 @@ class ValueReader:
     def _check_finite(
         self, array_location: Location, text: str, values: FloatArray
     ) -> ArrayRows | None:
-        """Return finite rows of an array; None with a fault otherwise."""
+        """Return finite rows of an array, or None after recording a fault."""
         invalid_rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if invalid_rows.size:
             i = int(invalid_rows[0])

@@ -270,7 +270,7 @@ class DriverRun:
     def _driven_controls(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
     ) -> Channel | None:
-        """Return the controls with driven values replaced; None without controls."""
+        """Return the controls with driven values replaced; None if there are none."""
         controls, channel = self.rig.controls, motion.controls
         if not driver_values.controls or channel is None:
             return channel

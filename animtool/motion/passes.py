@@ -204,7 +204,7 @@ class PassContext:
     progress: Callable[[float], None] | None = None
     # Simulates a rope or strands of the scene by name; returns a particle, by name or
     # number, and the one before it at every frame of a take, the latter first
-    # ``(F, 2, 3)`` [m]. None without a scene.
+    # ``(F, 2, 3)`` [m]. None if there is no scene.
     simulate_segments: SegmentSimulator | None = None
     # Builds the colliders named by options of a pass, see `ColliderBuilder`; None
     # without a scene.

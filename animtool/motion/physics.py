@@ -48,7 +48,7 @@ class PhysicsBody:
     spin: FloatArray = field(default_factory=lambda: np.zeros(3))  # world [rad/s]
     kinematic: bool = False
     times: FloatArray = field(default_factory=lambda: np.zeros(1))  # (T,) [s]
-    path: FloatArray | None = None  # poses of a kinematic body at these times (T, 7)
+    kinematic_poses: FloatArray | None = None  # at these times (T, 7)
     origin: str = ""  # file and prim of the body
 
 

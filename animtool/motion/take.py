@@ -36,7 +36,7 @@ UNIT_LENGTH_TOLERANCE = 1e-3
 def find_shape_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return faults of channels whose shape does not match clock, rig and tracks."""
+    """Return faults for channels whose shape does not match clock, rig and tracks."""
     frames = clock.count
     joint_count = len(rig.joints)
     counts = *[joint_count] * 3, len(rig.shapes), len(rig.controls), len(tracks)
@@ -68,7 +68,7 @@ def find_shape_faults(
 def find_value_faults(
     rig: Rig, clock: Clock, motion: Motion, tracks: Sequence[Track]
 ) -> list[Fault]:
-    """Return faults of non-finite values and invalid rotations, one per channel."""
+    """Return faults for non-finite values and invalid rotations, one per channel."""
     faults = []
     for name in CHANNELS:
         channel: Channel | None = getattr(motion, name)
@@ -167,7 +167,7 @@ class Take:
         return self.clock.count
 
     def __bool__(self) -> bool:
-        """Return True, even without frames."""
+        """Return True: a take is true even if it has no frames."""
         return True
 
     def world(self) -> WorldTransforms:

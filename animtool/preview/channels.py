@@ -28,7 +28,7 @@ class ChannelCurve:
     name: str
     unit: str  # ``m``, ``deg`` or empty
     values: FloatArray  # ``(F,)``
-    # Time and value of each key ``(K, 2)``; None without keys.
+    # Time and value of each key ``(K, 2)``; None if it has no keys.
     keys: FloatArray | None = None
     interp: str | None = None  # interpolation of its first key
 

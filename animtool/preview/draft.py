@@ -134,7 +134,7 @@ class PageDraft:
             radius_stream: Index of the stream of their radii; None uses ``radius``.
             color: Color of all points; None is the default color.
             color_stream: Index of the stream of their colors; None uses ``color``.
-            names: Name of each point; None without names.
+            names: Name of each point; None if points have no names.
         """
         self.points.append(
             {

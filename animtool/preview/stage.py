@@ -209,7 +209,7 @@ def _add_points(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
 
 
 def _finite_mean(values: FloatArray) -> float:
-    """Return the mean of the finite values; 0 without any."""
+    """Return the mean of the finite values; 0 if there are none."""
     finite_values = values[np.isfinite(values)]
     return float(finite_values.mean()) if finite_values.size else 0.0
 
@@ -264,7 +264,7 @@ def _slot_values(
     values: list[FloatArray],
     count: int,
 ) -> FloatArray | None:
-    """Return one value per slot, from its last point; None without values."""
+    """Return one value per slot, from its last point; None if there are no values."""
     first_values = next(
         (frame_values for frame_values in values if len(frame_values)), None
     )

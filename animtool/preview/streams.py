@@ -129,33 +129,33 @@ class _Stream:
     """A stream of the page and its encoded blocks."""
 
     id: int
-    data: QuantizedValues
+    quantized: QuantizedValues
     blocks: list[list[int]] = field(default_factory=list)
 
     @property
     def is_delta_coded(self) -> bool:
         """Whether samples are stored as differences from the previous sample."""
-        return self.data.kind != "f32"
+        return self.quantized.kind != "f32"
 
     @property
     def sample_bytes(self) -> int:
         """Size of one sample [bytes]."""
-        item_bytes = np.dtype(DTYPES[self.data.kind]).itemsize
-        return int(self.data.stored_values.shape[1]) * item_bytes
+        item_bytes = np.dtype(DTYPES[self.quantized.kind]).itemsize
+        return int(self.quantized.stored_values.shape[1]) * item_bytes
 
     def manifest_entry(self) -> dict[str, Any]:
         """Return the stream's entry in the page manifest."""
-        data = self.data
+        quantized = self.quantized
         entry: dict[str, Any] = {
             "id": self.id,
             "block": self.blocks,
-            "kind": data.kind,
-            "width": int(data.stored_values.shape[1]),
-            "scale": data.scale,
-            "offset": data.offset,
+            "kind": quantized.kind,
+            "width": int(quantized.stored_values.shape[1]),
+            "scale": quantized.scale,
+            "offset": quantized.offset,
             "coding": "delta" if self.is_delta_coded else "raw",
         }
-        return entry | ({"gaps": True} if data.has_gaps else {})
+        return entry | ({"gaps": True} if quantized.has_gaps else {})
 
 
 class StreamPacker:
@@ -165,16 +165,22 @@ class StreamPacker:
         self._streams: list[_Stream] = []
         self._static: dict[tuple[object, ...], int] = {}
 
-    def add(self, data: QuantizedValues) -> int:
+    def add(self, quantized: QuantizedValues) -> int:
         """Add a stream and return its index; equal one-sample streams share one."""
         index = len(self._streams)
-        if len(data.stored_values) == 1:
-            digest = hashlib.blake2b(data.stored_values.tobytes()).digest()
-            key = (digest, data.kind, str(data.scale), str(data.offset), data.has_gaps)
+        if len(quantized.stored_values) == 1:
+            digest = hashlib.blake2b(quantized.stored_values.tobytes()).digest()
+            key = (
+                digest,
+                quantized.kind,
+                str(quantized.scale),
+                str(quantized.offset),
+                quantized.has_gaps,
+            )
             index = self._static.setdefault(key, index)
             if index < len(self._streams):
                 return index
-        self._streams.append(_Stream(index, data))
+        self._streams.append(_Stream(index, quantized))
         return index
 
     def add_static(self, values: npt.ArrayLike, kind: str) -> int:
@@ -190,17 +196,19 @@ class StreamPacker:
     @property
     def total_bytes(self) -> int:
         """Size of all streams before compression [bytes]."""
-        return sum(stream.data.stored_values.nbytes for stream in self._streams)
+        return sum(stream.quantized.stored_values.nbytes for stream in self._streams)
 
     def finish(self) -> tuple[list[dict[str, Any]], list[str]]:
         """Return the manifest entries of the streams, and the blocks as text."""
         blocks: list[str] = []
         for group, samples_per_block in self._groups():
-            count = len(group[0].data.stored_values)
+            count = len(group[0].quantized.stored_values)
             for first in range(0, count, samples_per_block):
                 frames = slice(first, min(first + samples_per_block, count))
                 encoded_streams = [
-                    _encoded_samples(s.data.stored_values[frames], s.data.kind)
+                    _encoded_samples(
+                        s.quantized.stored_values[frames], s.quantized.kind
+                    )
                     for s in group
                 ]
                 for stream in group:
@@ -214,7 +222,7 @@ class StreamPacker:
         static_streams: list[_Stream] = []
         streams_by_length: dict[int, list[_Stream]] = {}
         for stream in self._streams:
-            sample_count = len(stream.data.stored_values)
+            sample_count = len(stream.quantized.stored_values)
             if sample_count == 1:
                 static_streams.append(stream)
             elif stream.sample_bytes * BLOCK_SAMPLES > BLOCK_BYTES:

@@ -58,8 +58,8 @@ class PageTake:
         rig: The rig.
         first_sample: Page sample of its first frame.
         frames: Number of frames.
-        weights: Weights of the rig's shapes ``(F, S)``; None without shapes.
-        controls: Values of the rig's controls ``(F, C)``; None without controls.
+        weights: Weights of the rig's shapes ``(F, S)``; None if it has none.
+        controls: Values of the rig's controls ``(F, C)``; None if it has none.
         world: Returns the joint transforms of a range of frames, with quantization.
         entry: The manifest entry.
     """
@@ -261,12 +261,14 @@ def _store_track(
 
 
 def _decoded_track(
-    track: QuantizedTrack, data: QuantizedValues | None
+    track: QuantizedTrack, quantized: QuantizedValues | None
 ) -> QuantizedTrack:
     """Return a track with the values that the viewer decodes."""
-    if data is None:
+    if quantized is None:
         return track
-    values = data.stored_values * np.asarray(data.scale) + np.asarray(data.offset)
+    values = quantized.stored_values * np.asarray(quantized.scale) + np.asarray(
+        quantized.offset
+    )
     return QuantizedTrack(
         track.static_values,
         track.animated_joints,
@@ -342,7 +344,7 @@ LegJoints = dict[str, tuple[int, int, int, int]]
 def _roles_and_legs(
     draft: PageDraft, rig: Rig
 ) -> tuple[RoledSkeleton | None, LegJoints]:
-    """Return a rig's roles (None without legs) and its legs, cached by rig."""
+    """Return a rig's roles (None if it has no legs) and its legs, cached by rig."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.rig_cache:

@@ -35,7 +35,7 @@ def add_targets(
     Args:
         draft: The page.
         tracks: The goals, read without a rig.
-        page_take: The take that the goals apply to; None without a take.
+        page_take: The take that the goals apply to; None if there is none.
         up: Up axis of that take's file.
     """
     with skip_unreadable(draft, f"targets {tracks.path.name!r}"):

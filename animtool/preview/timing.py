@@ -200,7 +200,7 @@ def _range_in_stage(
 
 
 def _authored_range(file: OpenFile, fps: Fraction) -> tuple[Fraction, Fraction] | None:
-    """Return the authored frame range of a stage; None without one."""
+    """Return the authored frame range of a stage; None if it has none."""
     contents = file.contents
     authored_span = None if contents is None else contents.authored_span
     if contents is None or authored_span is None:

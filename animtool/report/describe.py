@@ -57,7 +57,7 @@ class TakeDescription:
     take: str  # name of the described take
     points: list[PointPrimSummary]  # other prims of a USD file with animated points
     notices: list[Fault]  # warnings and notes
-    # The shot recorded in a USD layer, as in bake reports; None without one.
+    # The shot recorded in a USD layer, as in bake reports; None if there is none.
     shot: dict[str, object] | None = None
     capture: CaptureFacts | None = None  # facts of a captured person; else None
     cycle: Cycle | None = None  # cycle of a person's repeating motion

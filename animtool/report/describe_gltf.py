@@ -53,13 +53,15 @@ def gltf_contents(path: Path | str) -> GltfContents:
     return _describe_gltf(open_gltf(path))
 
 
-def describe_without_nodes(path: Path) -> GltfDescription | None:
+def describe_nodeless_gltf(path: Path) -> GltfDescription | None:
     """Return the description of a glTF file without nodes; None if it has nodes."""
     record_input(path)
     gltf = open_gltf(path)
     if gltf.nodes:
         return None
-    return GltfDescription(str(path), "glTF", _describe_gltf(gltf), gltf.notes.notices)
+    return GltfDescription(
+        str(path), "glTF", _describe_gltf(gltf), gltf.diagnostics.notices
+    )
 
 
 def _describe_gltf(gltf: Gltf) -> GltfContents:

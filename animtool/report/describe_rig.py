@@ -24,7 +24,7 @@ class MeshDescription:
     name: str  # name in the rig
     points: int  # number of points
     faces: int  # number of faces
-    method: str | None  # skinning method; None without a skin
+    method: str | None  # skinning method; None if it has no skin
     joints: int  # joints that influence it
     influences: int  # most influences of one point
     shapes: int  # number of blend shapes

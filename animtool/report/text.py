@@ -88,7 +88,7 @@ SECONDS = Each("seconds", ("{key}: {value:.3f} s",))
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """Lines of text for the records of one class.
+    """Text template that renders the records of one class, line by line.
 
     Attributes:
         record: The class, as ``module:name``.

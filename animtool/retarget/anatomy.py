@@ -205,7 +205,7 @@ def _find_limbs(search: _RoleSearch) -> None:
 
 
 def _find_named_tip(search: _RoleSearch, limb_roles: set[str]) -> int:
-    """Return the joint with the most limb roles named along its path; -1 for none."""
+    """Return the joint with the most limb roles named along its path, or -1."""
     body = search.body
     best_joint, best_score = -1, 0.0
     for j, votes in enumerate(body.votes):
@@ -293,7 +293,7 @@ def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> Non
 
 
 def _find_by_name(search: _RoleSearch, role: str) -> int:
-    """Return the topmost joint whose name votes most for a role; -1 for none."""
+    """Return the topmost joint whose name votes most for a role, or -1."""
     weights = [
         0.0 if search.roles[j] else votes.get(role, 0.0)
         for j, votes in enumerate(search.body.votes)

@@ -82,7 +82,7 @@ def _ankle_to_ball(
 class _FootShape:
     """Vectors from the ankle of a foot at rest; components left, up, forward [m]."""
 
-    ball: FloatArray | None  # where toes begin (3,); None without toes
+    ball: FloatArray | None  # where toes begin (3,); None if it has no toes
     tip: FloatArray | None  # the farthest end of the foot (3,)
 
 

@@ -76,7 +76,7 @@ def bend_at_pin(
     thigh, and of the shin with the knee at rest ``(3,)`` [m]; these and the unit
     ``pin_axis`` ``(3,)`` are in the frame of the thigh. ``thigh_rotations`` ``(F, 4)``
     in the world and ``current_angles`` ``(F,)`` [rad] of the knee are the current ones.
-    The limits determine the bending direction of the knee; without limits, its current
+    The limits determine the bending direction of the knee; if it has none, its current
     bend does.
     """
     thigh, shin = bones

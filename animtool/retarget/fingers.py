@@ -106,7 +106,7 @@ def _phalanx_roles(
 ) -> dict[int, str]:
     """Return the role of each joint of a finger, such as ``index_1_l``.
 
-    Numbers in names determine the first phalanx; without any, the joint count does.
+    Numbers in names determine the first phalanx; else the joint count does.
     """
     if digit == MITTEN_ROLE:
         return {j: f"{MITTEN_ROLE}_{side}" for j in path}

@@ -172,7 +172,7 @@ def local_rotations(
 
 
 def _twist_joint(target: RoledSkeleton, j: int) -> int:
-    """Return the child whose twist a pin along its bone takes over; -1 for none."""
+    """Return the child whose twist a pin along its bone takes over, or -1."""
     joint, rig = target.rig.joints[j], target.rig
     if joint.type is not JointType.PIN:
         return -1

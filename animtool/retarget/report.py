@@ -217,13 +217,13 @@ class FitMeter:
         self._angle_statistics = angle_sum, angle_count, largest_angle
         self._add_score("limbs", angle_sums / np.maximum(angle_counts, 1))
 
-    def _is_heel_raised(self, k: int, ankle: FloatArray) -> BoolArray:
+    def _is_heel_raised(self, foot_index: int, ankle: FloatArray) -> BoolArray:
         """Return a mask of frames in which limits lift a planted heel ``(F,)``."""
         placed_feet = self._contact_frames.placed_feet
-        contacts = self._contact_frames.contacts[k]
+        contacts = self._contact_frames.contacts[foot_index]
         if placed_feet is None or not contacts.toe.any():
             return np.zeros(len(ankle), np.bool_)
-        heel_distance = np.linalg.norm(ankle - placed_feet.ankles[k], axis=1)
+        heel_distance = np.linalg.norm(ankle - placed_feet.ankles[foot_index], axis=1)
         min_distance = MIN_HEEL_ERROR * self._transfer.target.size
         return np.asarray(contacts.toe & (heel_distance > min_distance))
 
@@ -350,7 +350,7 @@ def fit_scores(report: RetargetReport) -> PassScores:
 
 
 def _mean_clamped(joint_map: JointMap, clamped_fractions: Mapping[int, float]) -> float:
-    """Return the mean clamped fraction of frames over the paired joints but fingers."""
+    """Return the mean clamped fraction of frames over paired joints except fingers."""
     fingers = {*FINGER_ROLES, MITTEN_ROLE}
     joints = [p.target for p in joint_map.pairs if base_role(p.role) not in fingers]
     return sum(clamped_fractions.get(j, 0.0) for j in joints) / max(len(joints), 1)

@@ -54,19 +54,19 @@ class RoledSkeleton:
     def of(
         rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
     ) -> RoledSkeleton:
-        """Build from a rig at rest, or in a pose of local rotations ``(J, 4)``."""
+        """Build from a rig at rest, or posed by local rotations ``(J, 4)``."""
         rest = rest_world(rig)
         if pose is not None:
             rest = forward_kinematics(rig, rig.rest_translations[None], pose[None])
         return RoledSkeleton(rig, roles, rest.positions[0], rest.rotations[0])
 
     def last_joint(self, role: str) -> int:
-        """Return the last joint of a role; -1 for none."""
+        """Return the last joint of a role; -1 if there is none."""
         joints = [j for j, joint_role in enumerate(self.roles) if joint_role == role]
         return max(joints, default=-1)
 
     def first_joint(self, role: str) -> int:
-        """Return the first joint of a role; -1 for none."""
+        """Return the first joint of a role; -1 if there is none."""
         return self.roles.index(role) if role in self.roles else -1
 
     def children_with_role(self, joint: int) -> list[int]:

@@ -117,10 +117,10 @@ def _trunk_vectors(roles: Sequence[str], positions: FloatArray) -> FloatArray | 
 
 
 def _limb_vectors(
-    roles: Sequence[str], positions: FloatArray, first: str, last: str
+    roles: Sequence[str], positions: FloatArray, first_role: str, last_role: str
 ) -> FloatArray | None:
     """Return the mean vector along a pair of limbs ``(F, 3)``; None if unknown."""
-    role_pairs = [(f"{first}_{side}", f"{last}_{side}") for side in "lr"]
+    role_pairs = [(f"{first_role}_{side}", f"{last_role}_{side}") for side in "lr"]
     if not all({*role_pair} <= {*roles} for role_pair in role_pairs):
         return None
     vectors = [
@@ -249,7 +249,7 @@ def find_standing_axis(rig: Rig, motion: Motion, roles: Sequence[str]) -> UpAxis
 def _standing_axis(
     rig: Rig, motion: Motion, roles: Sequence[str], *, is_inverted: bool = False
 ) -> UpAxis | None:
-    """Return the axis of `find_standing_axis`, also if the body is taller along up.
+    """Return the axis of `find_standing_axis`, even if the body is taller along up.
 
     With ``is_inverted``, the body stands with the head at the negative end of the axis,
     as in a take that was turned from the wrong axis.

@@ -88,7 +88,7 @@ class SkeletonTree:
 
     @cached_property
     def tip_lengths(self) -> FloatArray:
-        """Length of each joint's last bone ``(J,)`` [m]; 0 for joints without one."""
+        """Length of each joint's last bone ``(J,)`` [m]; 0 if it has none."""
         return np.asarray(np.linalg.norm(self.last_bones, axis=1))
 
     @cached_property
@@ -121,7 +121,7 @@ class SkeletonTree:
         return path[path.index(top) :] if top in path else []
 
     def lowest_common_ancestor(self, joints: Sequence[int]) -> int:
-        """Return the deepest joint whose subtree contains all joints; -1 for none."""
+        """Return the deepest joint whose subtree contains all joints, or -1."""
         common_ancestors = set(self.rig.upwards(joints[0]))
         for j in joints[1:]:
             common_ancestors &= set(self.rig.upwards(j))

@@ -120,7 +120,7 @@ def swapped_legs_warning(rig: Rig, motion: Motion) -> Fault | None:
 def _facing_direction(
     rig: Rig, positions: FloatArray, feet: list[int]
 ) -> FloatArray | None:
-    """Return the mean direction of the feet ``(F, 3)``; None without toes."""
+    """Return the mean direction of the feet ``(F, 3)``; None if there are no toes."""
     toe_joints = [
         i
         for i in feet

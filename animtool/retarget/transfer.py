@@ -122,19 +122,21 @@ class Transfer:
                 return False
         return bool(sides)
 
-    def rotations(self, world: FloatArray) -> FloatArray:
+    def rotations(self, source_rotations: FloatArray) -> FloatArray:
         """Return world rotations of the target ``(F, K, 4)``.
 
         They follow world rotations of the source ``(F, J, 4)``. Joints that follow no
         source joint move with their parents.
         """
         rig = self.target.rig
-        rotations_from_rest = so3.multiply(world, so3.conjugate(self.source.rotations))
+        rotations_from_rest = so3.multiply(
+            source_rotations, so3.conjugate(self.source.rotations)
+        )
         if (self.up_rotation != so3.IDENTITY).any():
             rotations_from_rest = so3.multiply(self.up_rotation, rotations_from_rest)
             inverse = so3.conjugate(self.up_rotation)
             rotations_from_rest = so3.multiply(rotations_from_rest, inverse)
-        world_rotations = np.zeros((len(world), len(rig.joints), 4))
+        world_rotations = np.zeros((len(source_rotations), len(rig.joints), 4))
         for j, parent in enumerate(rig.parents.tolist()):
             source_joint = self.source_joints[j]
             if source_joint < 0:
@@ -146,19 +148,22 @@ class Transfer:
                 continue
             rotation = rotations_from_rest[:, source_joint]
             if self.next_source_joints[j] != source_joint:
-                fraction = np.full(len(world), self.next_weights[j])
+                fraction = np.full(len(source_rotations), self.next_weights[j])
                 next_rotation = rotations_from_rest[:, self.next_source_joints[j]]
                 rotation = so3.slerp(rotation, next_rotation, fraction)
             world_rotations[:, j] = so3.multiply(rotation, self.rest_alignment[j])
         return world_rotations
 
     def bones(
-        self, world: FloatArray, translations: FloatArray, rotations: FloatArray
+        self,
+        source_rotations: FloatArray,
+        translations: FloatArray,
+        rotations: FloatArray,
     ) -> FloatArray:
         """Return local translations of the target ``(F, K, 3)`` [m].
 
         They are the rest translations plus the scaled deviations of the source from its
-        rest; ``(1, K, 3)`` without deviations. ``world`` ``(F, J, 4)`` and
+        rest; ``(1, K, 3)`` without deviations. ``source_rotations`` ``(F, J, 4)`` and
         ``translations`` ``(F, J, 3)`` [m] are world rotations and local translations of
         the source, ``rotations`` ``(F, K, 4)`` world rotations of the target.
         """
@@ -181,7 +186,9 @@ class Transfer:
             if len(local_translations) == 1:
                 frame_count = len(rotations)
                 local_translations = np.repeat(local_translations, frame_count, axis=0)
-            offset = so3.rotate(world[:, source_parent], deviations[:, source_joint])
+            offset = so3.rotate(
+                source_rotations[:, source_parent], deviations[:, source_joint]
+            )
             offset = so3.rotate(self.up_rotation, offset)
             inverse_rotations = so3.conjugate(rotations[:, target_parent])
             offset = so3.rotate(inverse_rotations, offset)

@@ -166,7 +166,7 @@ def _value_fault(
 def _index_hint(
     role: str, values: npt.NDArray[Any], part_count: int | None
 ) -> str | None:
-    """Return how to correct indices out of range; None if they do not tell."""
+    """Return how to correct indices out of range; None if that is unclear."""
     if part_count is None or role not in _INTEGER_ROLES:
         return None
     if role == "faces":

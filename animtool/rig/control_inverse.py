@@ -42,7 +42,7 @@ class SolvedControls:
 def keys_of_controls(
     controls: Sequence[Control], solved_values: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return keys that give control values ``(F,)``, without other controls' drives.
+    """Return the keys that give control values ``(F,)`` on top of others' drives.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression

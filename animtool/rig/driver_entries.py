@@ -27,9 +27,10 @@ def read_driver(
     units: tuple[float, float],
     value_unit: float,
 ) -> Driver | None:
-    """Return the driver of an entry; None with a fault. Inputs are checked later.
+    """Return the driver of an entry, or None after recording a fault.
 
-    ``units``: the file's length [m] and angle [rad]; ``value_unit``: unit of its value.
+    Inputs are checked later. ``units`` are the file's length [m] and angle [rad], and
+    ``value_unit`` is the unit of the driver's value.
     """
     if (model.expr is None) == (model.curve is None):
         message = "has both expr and curve" if model.expr else "has no expr or curve"

@@ -50,7 +50,7 @@ def readable_parts(joint: Joint) -> list[str]:
 
 
 def coordinate_fault(rig: Rig, name: str) -> Fault | None:
-    """Return the fault of an input that drivers cannot read; None if they can."""
+    """Return a fault if drivers cannot read an input, else None."""
     joint_name, part = split_coordinate(name)
     if not joint_name:
         control_names = [control.name for control in rig.controls]

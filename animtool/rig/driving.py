@@ -138,8 +138,8 @@ def _control_contribution(
 def ball_part_values(joint: Joint, part: str, rotations: FloatArray) -> FloatArray:
     """Return a ball's twist or swing part ``(F,)`` [rad] from rotations ``(F, 4)``.
 
-    The twist is within half a revolution of the middle of its limits, or of 0 without
-    limits. At a swing of half a revolution it is undefined, and near it, it changes
+    The twist is within half a revolution of the middle of its limits, or of 0 if it has
+    none. At a swing of half a revolution it is undefined, and near it, it changes
     quickly.
 
     >>> ball = Joint("shoulder", -1, JointType.BALL, limits=BallLimit())

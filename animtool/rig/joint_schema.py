@@ -44,7 +44,7 @@ class BallLimitsModel(FileModel):
 
 
 class MimicModel(FileModel):
-    """The joint that a pin or prismatic joint follows."""
+    """Coupling of a pin or prismatic joint to another joint."""
 
     joint: Name = key("A pin or prismatic joint that is not a mimic itself.", "crank")
     gain: Real = key(

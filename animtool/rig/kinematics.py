@@ -123,7 +123,7 @@ def bind_matrices(rig: Rig) -> FloatArray:
 
 
 def rest_size(rig: Rig) -> float:
-    """Return the diagonal of the joints' bounds at rest [m]; 0 without joints."""
+    """Return the diagonal of the joints' bounds at rest [m]; 0 if there are none."""
     if not rig.joints:
         return 0.0
     positions = rest_world(rig).positions[0]

@@ -365,7 +365,7 @@ class PartReader:
     def _read_drive(
         self, location: Location, model: DriveModel, shapes: Collection[str]
     ) -> Drive | None:
-        """Return a control's drive; None with a fault."""
+        """Return a control's drive, or None after recording a fault."""
         target_kinds = [
             k for k in ("shape", "joint", "control") if getattr(model, k) is not None
         ]
@@ -398,7 +398,7 @@ class PartReader:
         return Drive(target, None, points, unit, is_smooth)
 
     def _read_expression(self, location: Location, text: str) -> Expression | None:
-        """Return an expression over controls; None with a fault."""
+        """Return an expression over controls, or None after recording a fault."""
         try:
             expression = parse_expression(text)
         except ValueError as error:
@@ -492,7 +492,7 @@ class PartReader:
         return False
 
     def _is_descendant(self, root: str, tip: str) -> bool:
-        """Return whether a tip is the root or its descendant, or that is unknown."""
+        """Return whether a tip is the root or its descendant; True if unknown."""
         joints = self.file_joints.joints
         index = next(i for i, joint in enumerate(joints) if joint.name == tip)
         while index >= 0 and joints[index].name != root:

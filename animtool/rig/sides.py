@@ -55,7 +55,7 @@ _SIDE_PATTERNS = tuple(
 class SidePairs:
     """Partners of joints or other named parts."""
 
-    # Index of each partner ``(J,)``; of the joint itself without one.
+    # Index of each partner ``(J,)``, or of the joint itself if it has none.
     partners: IntArray
     left: tuple[int, ...]  # indices of the left ones among the pairs found by name
     # Left or right names without a partner.

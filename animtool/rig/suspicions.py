@@ -333,7 +333,7 @@ def _max_driver_value(rig: Rig, driver: Driver) -> float:
 
 
 def _input_ends(rig: Rig, name: str) -> tuple[float, ...]:
-    """Return the limits of a driver's input [rad], [m], [1]; empty without limits."""
+    """Return the limits of a driver's input [rad], [m], [1]; empty if it has none."""
     joint, _ = split_coordinate(name)
     if not joint:
         for control in rig.controls:

@@ -103,7 +103,7 @@ class _EntryFormatter:
     def range_text(
         self, range_pair: tuple[float, float] | None, unit: float
     ) -> str | None:
-        """Return a range as text in a unit; None without a range."""
+        """Return a range as text in a unit; None if there is no range."""
         if range_pair is None:
             return None
         return flow_list([scaled_decimal(value, unit) for value in range_pair])
@@ -152,7 +152,7 @@ class _EntryFormatter:
         )
 
     def limits_entry(self, joint: Joint) -> str | None:
-        """Return a joint's limits as YAML, in the file's units; None without limits."""
+        """Return a joint's limits as YAML, in the file's units; None if it has none."""
         limits = joint.limits
         if isinstance(limits, RangeLimit):
             is_sliding = joint.type is JointType.PRISMATIC
@@ -169,7 +169,7 @@ class _EntryFormatter:
         return _flow_mapping(swing=swing, twist=twist, twist_axis=axis)
 
     def mimic_entry(self, joint: Joint, rig: Rig) -> str | None:
-        """Return a joint's mimic as a YAML mapping; None without one."""
+        """Return a joint's mimic as a YAML mapping; None if it has none."""
         if joint.mimic is None:
             return None
         leader = rig.joints[rig.index(joint.mimic.joint)]
@@ -239,7 +239,7 @@ class _EntryFormatter:
     def driver_entry(
         self, driver: Driver | None, joint_type: JointType | None = None
     ) -> str | None:
-        """Return a driver as a YAML mapping, in the file's units; None without one."""
+        """Return a driver as a YAML mapping in the file's units, or None."""
         if driver is None:
             return None
         units = {None: 1.0, JointType.PRISMATIC: self.meters}

@@ -104,7 +104,7 @@ def _find_named_integrator(options: IntegrateOptions) -> Integrator:
 
 
 def _method_faults(options: IntegrateOptions, *, is_fixed: bool) -> list[Fault]:
-    """Return faults of options that are missing, or that the method ignores."""
+    """Return a fault for each option that is missing or that the method ignores."""
     faults = []
     if is_fixed and options.step is None:
         message = f"{options.method} needs a step"

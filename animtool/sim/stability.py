@@ -30,7 +30,7 @@ def no_limit(omega: float, damping_ratio: float) -> float:  # noqa: ARG001
     return math.inf
 
 
-def rate_limit(growth: Sequence[float]) -> Limit:
+def rate_limit(stability_polynomial: Sequence[float]) -> Limit:
     """Return the stability limit of a method with stability polynomial R(h λ).
 
     A step multiplies ``y' = λ y`` by R, a polynomial that begins 1 + z.
@@ -40,7 +40,7 @@ def rate_limit(growth: Sequence[float]) -> Limit:
     >>> round(rate_limit([1, 1, 1 / 2, 1 / 6, 1 / 24])(1.0, 0.0), 3)
     2.828
     """
-    coefficients = np.asarray(growth, np.float64)
+    coefficients = np.asarray(stability_polynomial, np.float64)
 
     def limit(omega: float, damping_ratio: float) -> float:
         # λ h of the slower decay is below rounding.
@@ -56,15 +56,17 @@ def rate_limit(growth: Sequence[float]) -> Limit:
     return limit
 
 
-def _first_unstable_step(growth: FloatArray, eigenvalue: complex) -> float:
+def _first_unstable_step(coefficients: FloatArray, eigenvalue: complex) -> float:
     """Return the smallest positive step at which a mode with this eigenvalue grows."""
     magnitude = abs(eigenvalue)
-    scaled_coefficients = growth * (eigenvalue / magnitude) ** np.arange(len(growth))
-    growth_excess: FloatArray = np.convolve(
+    scaled_coefficients = coefficients * (eigenvalue / magnitude) ** np.arange(
+        len(coefficients)
+    )
+    squared_excess: FloatArray = np.convolve(
         scaled_coefficients, scaled_coefficients.conj()
     ).real
-    growth_excess[0] = 0.0
-    return _first_positive(growth_excess) / magnitude
+    squared_excess[0] = 0.0
+    return _first_positive(squared_excess) / magnitude
 
 
 def jury_limit(

@@ -95,7 +95,7 @@ class System(Protocol):
         return after
 
     def native(self, method: str) -> NativeAdvance | None:
-        """Return a compiled loop that takes many steps in one call; None without one.
+        """Return a compiled loop that takes many steps in one call, if there is one.
 
         The loop must give the same result as the named method, including `settle`.
         """

@@ -55,7 +55,7 @@ class Stats:
         steps: Number of accepted steps.
         rejected: Number of rejected steps; None for SciPy's solvers, which hide it.
         evaluations: Number of evaluations of rates or accelerations.
-        smallest: Smallest step [s]; 0 without steps.
+        smallest: Smallest step [s]; 0 if there are no steps.
         largest: Largest step [s].
         local_error: Sum over steps of the largest estimated error; None for methods
             without an estimate.

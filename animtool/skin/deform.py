@@ -34,10 +34,10 @@ class DeformedMesh:
     """
 
     points: FloatArray  # ``(V, 3)`` at rest, mesh space
-    # Prepared on the same points (and normals); None without shapes.
+    # Prepared on the same points (and normals); None if there are no shapes.
     shapes: PreparedShapes | None = None
     skin: PreparedSkin | None = None  # prepared for V vertices; None if not skinned
-    normals: FloatArray | None = None  # ``(V, 3)`` at rest; None without normals
+    normals: FloatArray | None = None  # ``(V, 3)`` at rest; None if it has none
 
     def __post_init__(self) -> None:
         """Raise if shapes, skin or normals do not match the points."""
@@ -281,7 +281,7 @@ def _deform_normals(
 
 
 def _times_array(times: ArrayLike | None) -> FloatArray | None:
-    """Return the times of the frames as an array ``(F,)``; None without times."""
+    """Return the times of the frames as an array ``(F,)``; None if there are none."""
     return None if times is None else as_floats(times, ("F",), "times")
 
 

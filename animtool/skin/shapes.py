@@ -63,7 +63,7 @@ class PreparedShapes:
     # Weights at which each shape has offsets, 0 and 1 included, ascending.
     knots: tuple[FloatArray, ...]
     points: _Columns  # columns of the points: one per shape and knot, except knot 0
-    normals: _Columns | None  # columns of the normals; None without normals
+    normals: _Columns | None  # columns of the normals; None if it has none
 
     @property
     def vertex_count(self) -> int:
@@ -79,7 +79,7 @@ def prepare_shapes(
     Args:
         shapes: Blend shapes of the mesh.
         points: Points at rest ``(V, 3)``.
-        normals: Normals at rest ``(V, 3)``; None without normals.
+        normals: Normals at rest ``(V, 3)``; None if it has none.
 
     >>> smile = SurfaceShape("smile", np.array([[0.0, 2.0, 0.0]]), np.array([1]))
     >>> shapes = prepare_shapes([smile], np.zeros((2, 3)))
@@ -301,7 +301,7 @@ def _nonzero_offsets(
 
 
 def _shape_faults(shape: SurfaceShape, vertex_count: int) -> list[Fault]:
-    """Return the faults of a shape's vertices, offsets and inbetweens."""
+    """Return the faults in a shape's vertices, offsets and inbetweens."""
     label = f"shape {shape.name!r}"
     faults = []
     offset_count = vertex_count
@@ -337,7 +337,7 @@ def _shape_faults(shape: SurfaceShape, vertex_count: int) -> list[Fault]:
 
 
 def _offset_faults(name: str, values: FloatArray, offset_count: int) -> list[Fault]:
-    """Return the faults of offsets: wrong shape, or not finite."""
+    """Return faults for offsets with a wrong shape, or not finite."""
     array = np.asarray(values, np.float64)
     if array.shape != (offset_count, 3):
         message = f"{name} are {array.shape}, but must be ({offset_count}, 3)"

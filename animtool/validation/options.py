@@ -189,7 +189,7 @@ def _prefix_length_of(prefix: str) -> int:
 
 
 def _prefix_length(code: str, prefixes: Iterable[str]) -> int:
-    """Return the length of the longest prefix that matches a code; -1 for none."""
+    """Return the length of the longest prefix that matches a code, or -1."""
     longest_prefix = _longest_prefix(code, prefixes)
     return -1 if longest_prefix is None else _prefix_length_of(longest_prefix)
 

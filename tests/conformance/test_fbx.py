@@ -69,7 +69,7 @@ def test_what_comes_out_is_what_is_expected(path: Path) -> None:
     assert [one.name for one in scene.takes] == [t["name"] for t in takes]
     for take, stated in zip(scene.takes, takes, strict=True):
         assert len(take.layers) == len(stated["layers"])
-    codes = {fault.code for fault in scene.file.notes.notices}
+    codes = {fault.code for fault in scene.file.diagnostics.notices}
     apart = compare(character, expected, points=BLENDED not in codes)
     limits = {"matrix": MATRIX, "position": POSITION, "point": POSITION}
     limits |= {"weight": MATRIX}
@@ -84,7 +84,7 @@ def test_points_are_those_that_the_tool_exported(
     path: Path, pair: dict[str, Any]
 ) -> None:
     character = opened(path)
-    codes = {fault.code for fault in character.scene.file.notes.notices}
+    codes = {fault.code for fault in character.scene.file.diagnostics.notices}
     if BLENDED in codes:
         pytest.skip("its skin is read by another method, with a warning")
     theirs = read_obj(path.with_name(pair["obj"]))

@@ -72,7 +72,7 @@ def test_a_file_is_of_its_class(path: Path, entry: dict[str, Any]) -> None:
         elif objects and entry["class"] == "refuses":
             assert object_of(where) in objects, fault
         return
-    warned = [n for n in gltf.notes.notices if n.severity is Severity.WARNING]
+    warned = [n for n in gltf.diagnostics.notices if n.severity is Severity.WARNING]
     assert ("repairs" if warned else "reads") in allowed, warned
     counts = entry.get("counts")
     if counts:

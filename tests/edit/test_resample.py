@@ -235,7 +235,7 @@ def test_samples_between_the_frames_of_a_range_are_counted() -> None:
         (Fraction(1, 7), 40),
     ):
         times = plan_samples(clock(400), Fraction(24), start, frame_range=wanted)
-        assert times.dropped_between_frames == between
+        assert times.dropped_sample_count == between
 
 
 def shaking(frequency: float, count: int = 961) -> Take:

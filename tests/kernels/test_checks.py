@@ -192,7 +192,7 @@ def test_colliders_are_of_known_kinds() -> None:
             look(kind)
     with pytest.raises(ValueError, match=r"^sizes: "):
         look([1, 0, 0], NAN)
-    with pytest.raises(ValueError, match=r"^share: "):
+    with pytest.raises(ValueError, match=r"^fraction: "):
         look([1, 0, 0], share=1e300)
 
 
@@ -309,9 +309,9 @@ def test_a_way_needs_a_path() -> None:
             paths=np.zeros((0, frames, chain.coordinates)),
             costs=np.zeros((0, frames)),
             drifts=np.zeros((frames - 1, chain.dofs)),
-            easy=np.ones(frames - 1),
-            open=False,
-            closed=False,
+            free_step=np.ones(frames - 1),
+            allows_any_start=False,
+            must_end_on_first=False,
         )
 
 

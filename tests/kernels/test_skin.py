@@ -13,7 +13,7 @@ INFLUENCES = {
     "joints": np.array([0, 1], np.int32),
     "weights": np.ones(2),
 }
-POINTS = {"points": np.zeros((1, 2, 3)), "normalize": False}
+POINTS = {"points": np.zeros((1, 2, 3)), "normalizes": False}
 OUT = {"out": np.zeros((3, 2, 3))}
 LINEAR = {**INFLUENCES, **POINTS, "transforms": np.ones((3, 2, 3, 4)), **OUT}
 DUAL = {

@@ -30,9 +30,9 @@ BAD: list[tuple[str, str, Any]] = [
     ("SpringNetwork", "pinned_path", np.inf),
     ("SpringNetwork", "winds", np.nan),
     ("SpringNetwork.set_paths", "pinned_path", np.nan),
-    ("SpringLayers", "rest", np.nan),
+    ("SpringLayers", "rest_positions", np.nan),
     ("SpringLayers", "thickness", 0.0),
-    ("SpringLayers", "speed", np.nan),
+    ("SpringLayers", "separation_speed", np.nan),
     ("SpringLayers.distance", "triangle", 10**9),
     ("SpringLayers.distance", "particle", -5),
     ("SpringLayers.edge_distance", "first", 10**9),
@@ -42,38 +42,38 @@ BAD: list[tuple[str, str, Any]] = [
     ("SpringStrands", "draw_damping", -1.0),
     ("follow_strands", "state", np.nan),
     ("follow_strands", "targets", np.inf),
-    ("follow_strands", "span", 0.0),
+    ("follow_strands", "frame_duration", 0.0),
     ("follow_strands", "substeps", 0),
     ("follow_strands", "substeps", HUGE),
-    ("follow_strands", "threads", 0),
+    ("follow_strands", "thread_count", 0),
     ("part_springs", "h", 0.0),
     ("pierced_edges", "triangles", -1),
     ("spring_order", "particles", 2**62),
     ("spring_order", "ends", -1),
     ("spring_accelerations", "t", np.nan),
-    ("spring_accelerations", "torn", 7),
+    ("spring_accelerations", "is_torn", 7),
     *[
         (name, argument, value)
         for name in ("step_springs", "project_springs", "solve_springs")
         for argument, value in (
             ("state", np.nan),
             ("origin", np.nan),
-            ("first", 2**62),
-            ("cell", 0.0),
-            ("cell", 5e-324),
-            ("cells", -1),
-            ("cells", 2**62),
+            ("first_interval", 2**62),
+            ("interval_duration", 0.0),
+            ("interval_duration", 5e-324),
+            ("interval_count", -1),
+            ("interval_count", 2**62),
             ("substeps", 0),
             ("substeps", HUGE),
         )
     ],
     ("project_springs", "min_substeps", 0),
     ("project_springs", "max_substeps", HUGE),
-    ("project_springs", "calm", -1),
-    ("project_springs", "stretch", np.nan),
-    ("project_springs", "crossed", -(2**63)),
+    ("project_springs", "low_strain_count", -1),
+    ("project_springs", "repeat_strain", np.nan),
+    ("project_springs", "initial_intersections", -(2**63)),
     ("solve_springs", "tolerance", 0.0),
-    ("solve_springs", "before", np.nan),
+    ("solve_springs", "earlier_state", np.nan),
 ]
 
 
@@ -151,7 +151,7 @@ def test_no_particles_keep_apart() -> None:
 
 def test_a_surface_that_is_none_is_refused() -> None:
     made = arguments("step_springs", "state")
-    poses = np.zeros((made["cells"], 0, 2, 7))
+    poses = np.zeros((made["interval_count"], 0, 2, 7))
     rng = np.random.default_rng(0)
     arrays = CALLS["step_springs"](rng)["colliders"]
     while arrays is None or len(arrays[0][0]):
@@ -166,7 +166,11 @@ def test_a_surface_that_is_none_is_refused() -> None:
 def test_places_that_are_far_off_end_the_call(value: float) -> None:
     rng = np.random.default_rng(4)
     made = CALLS["project_springs"](rng)
-    while made["layers"] is None or not made["cells"] or made["crossed"].size == 0:
+    while (
+        made["layers"] is None
+        or not made["interval_count"]
+        or made["initial_intersections"].size == 0
+    ):
         made = CALLS["project_springs"](rng)
     made["state"][0, ::2] = value
     made["state"][0, 1] = -value

@@ -78,7 +78,7 @@ def run(
     speeds = np.zeros_like(flat) if velocities is None else velocities.reshape(-1, 3)
     state, *counts = _kernels.follow_strands(
         made(places, **numbers), checkpoint(places, cells, way),
-        np.stack([flat, speeds]), SPAN, substeps, colliders, own=own,
+        np.stack([flat, speeds]), SPAN, substeps, colliders, carrier_colliders=own,
     )  # fmt: skip
     return state.reshape(2, *places.shape), *counts
 

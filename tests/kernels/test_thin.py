@@ -20,19 +20,19 @@ def arguments(**changes: Any) -> dict[str, Any]:
     turns[:, 0, 0], turns[:, 0, 3] = np.sin(angles), np.cos(angles)
     unit = np.tile([0.0, 0.0, 0.0, 1.0], (2, 1))
     return {
-        "turns": turns,
+        "joint_rotations": turns,
         "parents": np.array([-1, 0]),
-        "numbers": np.array([0, -1]),
-        "places": np.array([[0.0, 0, 0], [0, 1, 0]]),
-        "before": unit,
-        "rest": unit,
+        "pose_indices": np.array([0, -1]),
+        "positions": np.array([[0.0, 0, 0], [0, 1, 0]]),
+        "pre_rotations": unit,
+        "rest_rotations": unit,
         "feet": np.array([1, 1]),
-        "stands": np.zeros((FRAMES, 2), bool),
-        "begins": np.arange(FRAMES - WIDE),
-        "wide": WIDE,
-        "near": 1e-3,
-        "standing": 1e-3,
-        "hips": 1.0,
+        "foot_stands": np.zeros((FRAMES, 2), bool),
+        "span_starts": np.arange(FRAMES - WIDE),
+        "span_width": WIDE,
+        "max_joint_error": 1e-3,
+        "max_foot_error": 1e-3,
+        "max_root_shift": 1.0,
         **changes,
     }
 
@@ -44,8 +44,8 @@ def test_even_turns_fit_and_move_nothing() -> None:
 
 
 def test_spans_that_do_not_fit_move_nothing() -> None:
-    given = arguments(near=0.0)
-    given["turns"][1::2] = [[1.0, 0, 0, 0]]
+    given = arguments(max_joint_error=0.0)
+    given["joint_rotations"][1::2] = [[1.0, 0, 0, 0]]
     for _ in range(50):
         # Memory that the result is likely to get.
         freed = np.full(3 * (FRAMES - WIDE) * (WIDE - 1) + 1, np.nan)
@@ -55,7 +55,7 @@ def test_spans_that_do_not_fit_move_nothing() -> None:
         assert_array_equal(back, 0)
 
 
-@pytest.mark.parametrize("name", ["places", "before", "rest"])
+@pytest.mark.parametrize("name", ["positions", "pre_rotations", "rest_rotations"])
 def test_a_chain_that_is_not_finite_is_refused(name: str) -> None:
     given = arguments()
     given[name] = given[name].copy()

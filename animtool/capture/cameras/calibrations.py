@@ -92,7 +92,7 @@ def _parse_toml(text: str, path: Path) -> Document:
 
 
 def _count_nodes(value: Any) -> int:
-    """Return the number of document nodes of a value, counted with keys and items."""
+    """Return the number of document nodes in a value, including keys and items."""
     if isinstance(value, dict):
         return 1 + len(value) + sum(map(_count_nodes, value.values()))
     return 1 + sum(map(_count_nodes, value)) if isinstance(value, list) else 1
@@ -132,7 +132,7 @@ def parse_calibration(
 
 
 def _stated_unit(document: Document) -> LengthUnit | None:
-    """Return the unit that a document states; None, with a fault if it is unknown."""
+    """Return the unit that a document states, or None; record a fault if unknown."""
     location: Location = ("units",)
     stated_unit = document.value.get("units")
     if isinstance(stated_unit, dict) and "length" in stated_unit:
@@ -227,7 +227,7 @@ class _CameraTable:
     def _read_numbers(
         self, quantity: str, shape: tuple[int, ...] | None
     ) -> FloatArray | None:
-        """Return the numbers of a quantity; None and a fault if missing or invalid."""
+        """Return the numbers of a quantity, or None after recording a fault."""
         key = self._key_of(quantity)
         if key is None:
             if quantity == "distortion":

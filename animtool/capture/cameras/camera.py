@@ -77,7 +77,7 @@ class Cameras:
     Attributes:
         cameras: Cameras in the order of the file.
         up: The up axis of the world.
-        path: File of the cameras; empty without a file.
+        path: File of the cameras; empty if there is none.
         notices: Warnings and notes about the file.
     """
 

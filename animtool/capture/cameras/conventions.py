@@ -51,7 +51,7 @@ class Convention:
 
     @property
     def description_and_remedy(self) -> tuple[str, str]:
-        """Text of the difference, and of how to correct the file, for messages."""
+        """The difference, and how to correct the file, as text for messages."""
         problems, remedies = [], []
         if self.is_w_last:
             problems.append("quaternions are [x, y, z, w]")

@@ -81,7 +81,7 @@ def measure_noise(
         _kernels.triangulate_points, pixels, confidences, kernel_cameras
     )
     for round_ in range(_NOISE_ROUNDS + view_count):
-        *_, residuals, states = triangulate(is_active, noise, *limits, detailed=True)
+        *_, residuals, states = triangulate(is_active, noise, *limits, has_details=True)
         residual_lengths = _residual_lengths(residuals)
         if confidences is not None:
             residual_lengths = residual_lengths * np.sqrt(np.maximum(confidences, 0))
@@ -104,14 +104,14 @@ def measure_noise(
             noise[:] = initial_noise(pixels[:, is_kept], kernel_cameras[is_kept])
         elif round_ >= _NOISE_ROUNDS - 1:
             break
-    points, *_ = triangulate(is_active, noise, *limits, detailed=False)
+    points, *_ = triangulate(is_active, noise, *limits, has_details=False)
     view_counts = (np.isfinite(pixels).all(axis=-1) & is_active[..., None]).sum(axis=1)
     triangulated_count = int(np.isfinite(points[..., 0]).sum())
     if triangulated_count < MIN_TRIANGULATED * (view_counts > 1).sum():
         # If no two cameras agree, or any two do, all are pooled.
         pose_changes, is_active = {}, np.ones_like(is_active)
         *_, residuals, states = triangulate(
-            is_active, noise, _UNLIMITED_GATE, max_condition, detailed=True
+            is_active, noise, _UNLIMITED_GATE, max_condition, has_details=True
         )
         pooled_noise = _pooled_noise(_residual_lengths(residuals), states == USED_STATE)
         noise[:] = noise if pooled_noise is None else max(pooled_noise, MIN_NOISE)
@@ -165,7 +165,7 @@ def _find_stale_camera(
         is_active_other[:, camera] = False
         points, errors, *_ = _kernels.triangulate_points(
             pixels, confidences, camera_parameters(cameras), is_active_other, noise,
-            *limits, detailed=False,
+            *limits, has_details=False,
         )  # fmt: skip
         others = [*cameras[:camera], *cameras[camera + 1 :]]
         change = fit_pose_change(cameras[camera], points, pixels[:, camera], others)

@@ -250,7 +250,7 @@ def _solve_person(
         np.ascontiguousarray(camera_keypoints[None, :, :, :2]), None,
         camera_parameters([cameras[c] for c in cameras_of_person]),
         np.ones((1, len(cameras_of_person)), bool), noise,
-        _OUTLIER_GATE, _MAX_CONDITION, detailed=False,
+        _OUTLIER_GATE, _MAX_CONDITION, has_details=False,
     )[0][0]  # fmt: skip
     is_triangulated = np.isfinite(points).all(axis=-1)
     return (

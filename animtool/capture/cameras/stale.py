@@ -72,8 +72,8 @@ class CameraDisagreement:
 
     frame: int  # frame index
     outliers: float  # fraction of its observations that are outliers [1]
-    # Root mean square reprojection error of the other observations [px]; NaN without
-    # any.
+    # Root mean square reprojection error of the other observations [px]; NaN if there
+    # are none.
     error_px: float
     json_keys: ClassVar[str] = "frame=number outliers error_px"
 

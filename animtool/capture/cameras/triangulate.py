@@ -219,7 +219,7 @@ class _TriangulationRun:
         for block_first in range(first, end, block_size):
             block = slice(block_first, min(block_first + block_size, end))
             views = self._observations_of(block_first, block.stop)
-            results = self._triangulate(views, self.is_active[block], is_detailed=False)
+            results = self._triangulate(views, self.is_active[block], has_details=False)
             self.positions[block], self.statistics[block] = results[:2]
             self.counts.tallies[block] = results[2]
             if self.progress is not None:
@@ -235,11 +235,11 @@ class _TriangulationRun:
         pixels_and_confidences: tuple[FloatArray, FloatArray | None],
         is_active: BoolArray,
         *,
-        is_detailed: bool,
+        has_details: bool,
     ) -> Any:
         """Return the kernel's results for pixels and confidences with active cameras.
 
-        Residuals and states of observations are empty unless ``is_detailed``.
+        Residuals and states of observations are empty unless ``has_details``.
         """
         return _kernels.triangulate_points(
             *pixels_and_confidences,
@@ -248,7 +248,7 @@ class _TriangulationRun:
             self.noise,
             self.options.gate,
             self._max_condition,
-            detailed=is_detailed,
+            has_details=has_details,
         )
 
     def _exclude_stale_cameras(self, pose_changes: dict[int, PoseChange]) -> None:
@@ -300,7 +300,7 @@ class _TriangulationRun:
             is_active = self.is_active[frames].copy()
             is_active[:, camera] = is_kept
             *_, residuals, states = self._triangulate(
-                views, is_active, is_detailed=True
+                views, is_active, has_details=True
             )
             is_used = states[:, camera] == USED_STATE
             residuals = residuals.astype(np.float64)

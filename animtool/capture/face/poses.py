@@ -56,7 +56,7 @@ def _kabsch_poses(
 
 
 def last_good_poses(poses: FloatArray, is_good: BoolArray) -> FloatArray:
-    """Replace bad poses ``(F, 7)`` by the last good one before, else the first."""
+    """Replace bad poses ``(F, 7)`` with the last good pose before, else the first."""
     if not is_good.any():
         return poses
     last_good = np.maximum.accumulate(np.where(is_good, np.arange(len(is_good)), -1))
@@ -68,7 +68,7 @@ def last_good_poses(poses: FloatArray, is_good: BoolArray) -> FloatArray:
 def estimate_camera_pose(
     neutral: FloatArray, pixels: FloatArray, camera: FloatArray
 ) -> FloatArray | None:
-    """Return a head's pose before a camera ``(7,)``; None if not found.
+    """Return a head's pose in front of a camera ``(7,)``; None if not found.
 
     The pixels ``(N, 2)`` are free of lens distortion, NaN where missing; the camera is
     fx, fy, cx, cy [px].

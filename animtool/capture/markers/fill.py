@@ -183,7 +183,7 @@ def _fill_gaps(
     for length, first, marker in _sorted_gaps(markers, is_known):
         gap = slice(first, first + length)
         marker_gap = MarkerGap(positions, is_known, marker, gap, spread[marker], rate)
-        path: FloatArray | None = None
+        gap_positions: FloatArray | None = None
         method = ""
         if max_seconds is None or length <= max_seconds * rate:
             if skeleton is not None and skeleton.is_predicted(marker, gap):
@@ -199,22 +199,24 @@ def _fill_gaps(
                         (predict_from_parent_joint(skeleton, marker_gap), "skeleton"),
                         (predict_from_markers(marker_gap), "markers"),
                     )
-                path = prediction.positions
+                gap_positions = prediction.positions
             elif length <= MAX_CURVE_SECONDS * rate + 1e-9:
                 method = "curve"
-                path = _polynomial_positions(
+                gap_positions = _polynomial_positions(
                     positions[:, marker], is_known[:, marker], gap
                 )
-            if path is None:
+            if gap_positions is None:
                 prediction_from_markers = predict_from_markers(marker_gap)
                 if prediction_from_markers is not None:
-                    path, method = prediction_from_markers.positions, "markers"
-        if path is not None:
-            positions[gap, marker] = path
+                    gap_positions, method = prediction_from_markers.positions, "markers"
+        if gap_positions is not None:
+            positions[gap, marker] = gap_positions
             is_known[gap, marker] = True
         name = markers.names[marker]
         last = first + length - 1
-        filled_gaps.append(FilledGap(name, first, last, "" if path is None else method))
+        filled_gaps.append(
+            FilledGap(name, first, last, "" if gap_positions is None else method)
+        )
     marker_order = {name: i for i, name in enumerate(markers.names)}
     filled_gaps.sort(key=lambda gap: (marker_order[gap.marker], gap.first))
     return positions, filled_gaps
@@ -251,7 +253,7 @@ def _sorted_gaps(markers: Markers, is_known: BoolArray) -> list[tuple[int, int, 
 
 
 def _polynomial_positions(
-    path: FloatArray, is_known: BoolArray, gap: slice
+    marker_positions: FloatArray, is_known: BoolArray, gap: slice
 ) -> FloatArray | None:
     """Return positions in a gap on a polynomial through nearby frames ``(G, 3)``.
 
@@ -268,7 +270,7 @@ def _polynomial_positions(
     powers = np.vander((frames - middle_frame) / scale, degree + 1)
     gap_frames = np.arange(gap.start, gap.stop)
     gap_powers = np.vander((gap_frames - middle_frame) / scale, degree + 1)
-    return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ path[frames]))
+    return np.asarray(gap_powers @ (np.linalg.pinv(powers) @ marker_positions[frames]))
 
 
 def _visible_frames_near(is_known: BoolArray, start: int, step: int) -> list[int]:

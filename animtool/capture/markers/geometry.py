@@ -100,7 +100,7 @@ def mean_square_errors(points: FloatArray, shape: FloatArray) -> FloatArray:
 def positions_by_column(
     positions: FloatArray, run_ids: IntArray, column_of_run: IntArray, column_count: int
 ) -> FloatArray:
-    """Sort points into a column for each run's marker ``(F, M, 3)``; NaN without one.
+    """Sort points into a column for each run's marker ``(F, M, 3)``, NaN if missing.
 
     positions: ``(F, P, 3)``. run_ids: Run of each point ``(F, P)``, -1 for none.
     column_of_run: ``(T,)``, -1 for none. column_count: ``M``.

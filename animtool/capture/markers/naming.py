@@ -205,7 +205,7 @@ class PointNaming:
         return has_changed
 
     def _better_permutation(self) -> IntArray | None:
-        """Return a permutation of names with more evidence ``(M,)``; None without one.
+        """Return a permutation of names ``(M,)`` with more evidence, or None.
 
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
@@ -246,7 +246,7 @@ class PointNaming:
     def most_doubtful_point(
         self, tried_moves: set[tuple[int, int]]
     ) -> tuple[int, int] | None:
-        """Return the point and marker with most evidence to gain; None without gain."""
+        """Return the point and marker with the most evidence to gain, or None."""
         rows = np.arange(len(self.point_markers))
         is_named = self.point_markers >= 0
         current_scores = np.where(is_named, self.scores[rows, self.point_markers], 0.0)

@@ -197,7 +197,7 @@ class TrackletLabels:
 def _merge_known_distances(
     rest_distances: FloatArray, take_distances: MarkerDistances
 ) -> MarkerDistances:
-    """Complete a take's distances by those at rest, where the take has none."""
+    """Fill in distances that a take lacks with those at rest."""
     is_known = np.isfinite(take_distances.mean)
     mean = np.where(is_known, take_distances.mean, rest_distances)
     return MarkerDistances(

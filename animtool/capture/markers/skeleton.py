@@ -147,7 +147,7 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
 
 
 def _to_all_markers(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
-    """Return values of all markers ``(F, M, …)`` from columns; NaN without a column."""
+    """Return values of all markers ``(F, M, …)`` from columns; others are NaN."""
     all_values = np.full((len(values), count, *values.shape[2:]), np.nan)
     all_values[:, columns] = values
     return all_values

@@ -51,7 +51,7 @@ class Swap:
 
 
 def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
-    """Give markers their own names back where they were exchanged; list the swaps.
+    """Undo exchanges of marker names, and list the swaps.
 
     A pair of markers is tested over the full take if one jumps to the other's expected
     position. Of all exchanges of their names in spans of frames, the one is kept in

@@ -131,7 +131,7 @@ def _mutual_nearest(distances: FloatArray) -> tuple[IntArray, IntArray]:
 
 
 def _second_smallest(relative_distance: FloatArray) -> FloatArray:
-    """Return the second smallest distance of each row; infinite without one."""
+    """Return the second smallest distance of each row; infinite if it has only one."""
     if relative_distance.shape[1] < 2:
         return np.full(len(relative_distance), np.inf)
     return np.partition(relative_distance, 1, axis=1)[:, 1]

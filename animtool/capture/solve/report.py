@@ -46,7 +46,7 @@ class SolveScore:
     frames: int  # F
     noise: FloatArray  # typical deviation of each marker ``(E,)`` [m]
     # Root mean square residual of the fitting markers of each frame ``(F,)`` [m], NaN
-    # without any.
+    # if there are none.
     rms: FloatArray = field(init=False)
     sparse: IntArray = field(init=False)  # frames with fewer than 3 markers, by index
     # Frames most of whose markers do not fit, by index.

@@ -64,7 +64,7 @@ class KeyTrack:
 
     @property
     def range(self) -> tuple[float, float] | None:
-        """Limits of a pin or slide in the unit of its samples; None without limits."""
+        """Limits of a pin or slide in the unit of its samples; None if it has none."""
         if not isinstance(self.limits, RangeLimit) or self.samples.shape[1] != 1:
             return None
         lower, upper = self.limits.low, self.limits.high

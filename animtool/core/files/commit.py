@@ -28,7 +28,7 @@ _NO_LINK_ERRORS = frozenset(
 
 
 def output_error(path: Path, error: BaseException | str) -> OutputError:
-    """Return the error of an output that could not be written."""
+    """Return the error for an output that could not be written."""
     reason = error if isinstance(error, str) else str(error)
     if isinstance(error, OSError):
         reason = error.strerror or str(error)

@@ -87,7 +87,7 @@ class RecordedInputs:
 
 
 def changed_error(*paths: Path) -> FormatError:
-    """Return the error of files that changed while being read (IO004)."""
+    """Return the error for files that changed while being read (IO004)."""
     message = "changed while it was being read"
     hint = "run it again when no process writes to it"
     return FormatError([Fault("IO004", message, str(path), (), hint) for path in paths])
@@ -182,7 +182,7 @@ class PathResolver:
 
 
 def unreadable_error(path: Path, reason: OSError | str) -> FormatError:
-    """Return the error of an unreadable file, spelled as the user did (IO001)."""
+    """Return the error for an unreadable file, spelled as the user did (IO001)."""
     if isinstance(reason, FileNotFoundError | NotADirectoryError):
         message = "does not exist"
     elif isinstance(reason, PermissionError):
@@ -343,7 +343,7 @@ def read_input(
 
 
 def size_error(path: Path, size: int, limit: int) -> FormatError:
-    """Return the error of a file that exceeds a size limit [bytes] (IO010)."""
+    """Return the error for a file that exceeds a size limit [bytes] (IO010)."""
     message = f"is {size / 1000000.0:,.6g} MB; the limit is {limit / 1000000.0:,.6g} MB"
     return FormatError(Fault("IO010", message, str(path)))
 
@@ -383,8 +383,8 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint with the most similar name of an existing file.
 
     The hint names the most similar file, or a folder similar to the first missing one;
-    without one, it names the missing folder. Relative paths start in ``folder``. None
-    if the file exists, or only the file is missing and no name is similar.
+    if there is none, it names the missing folder. Relative paths start in ``folder``.
+    None if the file exists, or only the file is missing and no name is similar.
     """
     if not exists(folder / path) and (hint := url_hint(path.as_posix())):
         return hint

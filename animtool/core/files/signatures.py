@@ -139,7 +139,7 @@ def format_mismatch(
 
 
 def empty_error(code: str, path: Path | str) -> FormatError:
-    """Return the error of an empty file."""
+    """Return the error for an empty file."""
     hint = "export or copy it again"
     return FormatError(Fault(code, "the file is empty", str(path), hint=hint))
 

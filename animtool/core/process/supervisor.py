@@ -69,7 +69,7 @@ class Crash:
 
 
 def crash_fault(path: str, signal_number: int) -> Fault:
-    """Return the fault of a file whose reader was killed by a signal."""
+    """Return a fault for a file whose reader was killed by a signal."""
     name = signal.Signals(signal_number).name
     message = f"USD crashes while reading this file or one it refers to ({name})"
     hint = "export it again; do not open it in other programs"

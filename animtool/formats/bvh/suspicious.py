@@ -19,7 +19,7 @@ MIN_BODY_JOINTS = 8
 MIN_LEG_FRACTION, HEIGHT_RANGE = 0.35, (0.75, 1.2)
 # Maximum of the position channel of the up axis, over that height [1], and smallest
 # range of two angles of a body that moves [deg].
-MAX_LOW_FRACTION, MIN_ANGLE_RANGE = 0.4, 1.0
+MAX_ROOT_HEIGHT_FRACTION, MIN_ANGLE_RANGE = 0.4, 1.0
 # Smallest range of another rotation channel that holds a path, over that height [1].
 MIN_PATH_FRACTION = 0.5
 # Fewest pairs of sides that are mirror images, and their smallest fraction of all pairs
@@ -65,7 +65,9 @@ def exchanged_root_warning(
     heights = values[:, rotations[k]]
     path_columns = [i for i in rotations if i != rotations[k]]
     is_leg_length = HEIGHT_RANGE[0] < heights.min() <= heights.max() < HEIGHT_RANGE[1]
-    is_low = np.abs(values[:, positions[k]]).max() < MAX_LOW_FRACTION
+    is_root_near_ground = (
+        np.abs(values[:, positions[k]]).max() < MAX_ROOT_HEIGHT_FRACTION
+    )
     distances = np.abs(values[:, positions])
     is_height = (distances > HEIGHT_RANGE[0]) & (distances < HEIGHT_RANGE[1])
     is_moving = (ranges[positions] > MIN_ANGLE_RANGE).sum() > 1
@@ -73,7 +75,7 @@ def exchanged_root_warning(
     has_path = np.ptp(values[:, path_columns], axis=0).max() > MIN_PATH_FRACTION
     if is_height.all(axis=0).any():
         return []
-    if not (is_leg_length and is_low and is_moving and has_path):
+    if not (is_leg_length and is_root_near_ground and is_moving and has_path):
         return []
     height = float(np.median(rows[:, rotations[k]]))
     length = leg_length / rig.meters_per_unit

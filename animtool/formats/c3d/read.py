@@ -208,7 +208,7 @@ def _find_layout(file: CaptureFile, sections: Sections, data: bytes) -> Layout:
 
 
 def _rotation_starts(sections: Sections, size: int) -> list[int]:
-    """Return the byte offset of a file's rotation data in a list; empty without any."""
+    """Return the byte offset of the rotation data as a list; empty if there is none."""
     block = unsigned_word(sections, "ROTATION", "DATA_START") or 0
     start = BLOCK_BYTES * (block - 1)
     has_rotations = block > 2 and sections.number("ROTATION", "USED")
@@ -289,7 +289,7 @@ def _check_scale(file: CaptureFile, sections: Sections, layout: Layout) -> None:
 def _frame_rate(
     file: CaptureFile, sections: Sections, fps: FractionLike | None
 ) -> float | None:
-    """Return the frame rate of the parameters, or of the header without one."""
+    """Return the frame rate of the parameters, or else of the header."""
     header_rate, parameter_rate = sections.header.rate, sections.number("POINT", "RATE")
     if not parameter_rate or not np.isfinite(parameter_rate):
         return header_rate

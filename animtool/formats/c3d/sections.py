@@ -104,14 +104,14 @@ class Sections:
     groups: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def number(self, group: str, name: str) -> float | None:
-        """Return the first number of a parameter; None without one."""
+        """Return the first number of a parameter; None if it has none."""
         value = self.groups.get(group, {}).get(name)
         if isinstance(value, np.ndarray) and value.size:
             return float(value.ravel()[0])
         return None
 
     def numbers(self, group: str, name: str) -> list[float]:
-        """Return all numbers of a parameter; empty without any."""
+        """Return all numbers of a parameter; empty if it has none."""
         value = self.groups.get(group, {}).get(name)
         return value.ravel().tolist() if isinstance(value, np.ndarray) else []
 

@@ -20,14 +20,14 @@ NO_TRANSFORM = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0, 1.0), (1.0, 1.0, 1.0)
 class Node:
     """A node of a glTF or FBX file, with its rest transform."""
 
-    name: str | None  # name in the file; None without a name
+    name: str | None  # name in the file; None if it has no name
     parent: int  # index of the parent node; -1 for a root
     children: tuple[int, ...]  # indices of the child nodes
     translation: tuple[float, float, float]  # relative to the parent [m]
     rotation: tuple[float, float, float, float]  # relative to the parent (x, y, z, w)
     scale: tuple[float, float, float]  # relative to the parent [1]
-    mesh: int = -1  # index of the node's mesh; -1 without a mesh
-    skin: int = -1  # index of the node's skin; -1 without a skin
+    mesh: int = -1  # index of the node's mesh; -1 if it has no mesh
+    skin: int = -1  # index of the node's skin; -1 if it has no skin
     # Weights of the morph targets; None uses the weights of the mesh.
     weights: tuple[float, ...] | None = None
     # Whether the node is visible if all its ancestors are.

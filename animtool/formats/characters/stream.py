@@ -46,7 +46,7 @@ def choose_take(
     candidates: Sequence[int],
     default_index: int,
 ) -> tuple[int, list[Fault]]:
-    """Return the index of the take to read, or -1 without one, and notes.
+    """Return the index of the take to read, or -1 if there is none, and notes.
 
     Args:
         messages: Wording and codes of the format.

@@ -15,7 +15,7 @@ from animtool.formats.fbx.elements import (
     MAX_NESTING,
     Element,
 )
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 BINARY_MAGIC = b"Kaydara FBX Binary  \x00"
 HEADER_BYTES = 27
@@ -36,23 +36,27 @@ MAX_INFLATION_RATIO = 1032
 MIN_BATCH_VALUES = 12
 
 
-def read_binary(content: bytes, notes: FileNotices) -> tuple[int, Element]:
+def read_binary(content: bytes, diagnostics: FileDiagnostics) -> tuple[int, Element]:
     """Return the version and the root of a binary FBX."""
     if len(content) < HEADER_BYTES:
         message = f"the file has {len(content)} bytes: the header is cut off"
-        notes.fail("FBX002", f"byte {len(content)}", message, "export the file again")
+        diagnostics.fail(
+            "FBX002", f"byte {len(content)}", message, "export the file again"
+        )
     if content[22]:
         message = "the file has big-endian numbers, which are not supported"
-        notes.fail("FBX003", "byte 22", message, "export the file again")
+        diagnostics.fail("FBX003", "byte 22", message, "export the file again")
     (version,) = struct.unpack_from("<I", content, 23)
-    return version, _RecordReader(content, version, notes).read_root()
+    return version, _RecordReader(content, version, diagnostics).read_root()
 
 
 class _RecordReader:
     """Reads records, and checks every length before it reads."""
 
-    def __init__(self, content: bytes, version: int, notes: FileNotices) -> None:
-        self.content, self.notes = content, notes
+    def __init__(
+        self, content: bytes, version: int, diagnostics: FileDiagnostics
+    ) -> None:
+        self.content, self.diagnostics = content, diagnostics
         has_64_bit_offsets = version >= 7500
         self.record_header = struct.Struct("<QQQB" if has_64_bit_offsets else "<IIIB")
         self.element_count = 0
@@ -60,7 +64,7 @@ class _RecordReader:
 
     def _fail(self, offset: int, message: str) -> NoReturn:
         hint = "export the file again"
-        self.notes.fail("FBX002", f"byte {offset}", message, hint)
+        self.diagnostics.fail("FBX002", f"byte {offset}", message, hint)
 
     def read_root(self) -> Element:
         root = Element("", [], "byte 0")
@@ -102,7 +106,7 @@ class _RecordReader:
         self.element_count += 1
         if self.element_count > MAX_ELEMENTS or depth > MAX_NESTING:
             message = f"more than {MAX_ELEMENTS} elements, or {MAX_NESTING} levels"
-            self.notes.fail("FBX013", f"byte {offset}", message)
+            self.diagnostics.fail("FBX013", f"byte {offset}", message)
         raw_name = self.content[values_start - name_length : values_start]
         name = raw_name.decode("utf-8", "replace")
         values_end = values_start + values_bytes
@@ -179,7 +183,7 @@ class _RecordReader:
         self.array_bytes += byte_count
         if self.array_bytes > MAX_ARRAY_BYTES:
             message = f"arrays of more than {MAX_ARRAY_BYTES / 1e6:.0f} MB"
-            self.notes.fail("FBX013", f"byte {offset}", message)
+            self.diagnostics.fail("FBX013", f"byte {offset}", message)
         data: Any = memoryview(self.content)[data_offset : data_offset + stored_size]
         if compression:
             data = self._inflate(data, byte_count, offset)

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import value_excerpt
 from animtool.core.record import dataclass
 from animtool.formats import FLOAT32_MAX
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 # Maximum nesting depth; keys of an object are four levels deep.
 MAX_NESTING = 48
@@ -44,49 +44,51 @@ class Element:
         return value if isinstance(value, str) else ""
 
 
-def read_number(element: Element, index: int, notes: FileNotices) -> float:
+def read_number(element: Element, index: int, diagnostics: FileDiagnostics) -> float:
     """Return the finite number at an index of an element's values (FBX005)."""
     value = element.values[index] if index < len(element.values) else None
     if isinstance(value, np.ndarray) and value.size:
         value = value.reshape(-1)[0].item()
     if not isinstance(value, int | float) or not abs(value) <= FLOAT32_MAX:
         message = f"{element.name} must be a number, not {value_excerpt(value)}"
-        notes.fail("FBX005", element.location, message)
+        diagnostics.fail("FBX005", element.location, message)
     return float(value)
 
 
 def read_floats(
-    parent: Element, name: str, notes: FileNotices, count: int | None = None
+    parent: Element, name: str, diagnostics: FileDiagnostics, count: int | None = None
 ) -> FloatArray | None:
     """Return the finite numbers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None
-    values = np.asarray(_numeric_array(element, notes), np.float64)
+    values = np.asarray(_numeric_array(element, diagnostics), np.float64)
     if not (np.abs(values) <= FLOAT32_MAX).all():
-        notes.fail(
+        diagnostics.fail(
             "FBX005", element.location, f"{name} contains a value that is not finite"
         )
     if count is not None and len(values) != count:
         message = f"{name} has {len(values)} numbers instead of {count}"
-        notes.fail("FBX005", element.location, message)
+        diagnostics.fail("FBX005", element.location, message)
     return values
 
 
-def read_integers(parent: Element, name: str, notes: FileNotices) -> IntArray | None:
+def read_integers(
+    parent: Element, name: str, diagnostics: FileDiagnostics
+) -> IntArray | None:
     """Return the integers of a child element; None if missing."""
     element = parent.find(name)
     if element is None:
         return None
-    values = _numeric_array(element, notes)
+    values = _numeric_array(element, diagnostics)
     if values.dtype.kind == "f":
         is_in_range = (np.abs(values) < 2.0**63).all()
         if not is_in_range or (values != np.round(values)).any():
-            notes.fail("FBX005", element.location, f"{name} must hold integers")
+            diagnostics.fail("FBX005", element.location, f"{name} must hold integers")
     return np.asarray(values, np.int64)
 
 
-def _numeric_array(element: Element, notes: FileNotices) -> Any:
+def _numeric_array(element: Element, diagnostics: FileDiagnostics) -> Any:
     """Return the numbers of an element as an array; raise for other values."""
     values = element.values
     if len(values) == 1 and isinstance(values[0], np.ndarray):
@@ -98,4 +100,6 @@ def _numeric_array(element: Element, notes: FileNotices) -> Any:
             return np.array(values, np.float64)
         except OverflowError:
             pass
-    return notes.fail("FBX005", element.location, f"{element.name} must hold numbers")
+    return diagnostics.fail(
+        "FBX005", element.location, f"{element.name} must hold numbers"
+    )

@@ -85,14 +85,14 @@ def read_geometry(file: FbxFile) -> dict[ObjectId, FbxGeometry]:
 def _read_mesh(
     file: FbxFile, mesh_object: FbxObject, model: FbxObject
 ) -> FbxGeometry | None:
-    notes, element, name = file.notes, mesh_object.element, model.name
-    coordinates = read_floats(element, "Vertices", notes)
-    vertex_indices = read_integers(element, "PolygonVertexIndex", notes)
+    diagnostics, element, name = file.diagnostics, mesh_object.element, model.name
+    coordinates = read_floats(element, "Vertices", diagnostics)
+    vertex_indices = read_integers(element, "PolygonVertexIndex", diagnostics)
     if coordinates is None or not len(coordinates):
         return None
     if len(coordinates) % 3:
         message = f"{len(coordinates)} numbers of {name!r} do not make points"
-        notes.fail("FBX008", element.location, message)
+        diagnostics.fail("FBX008", element.location, message)
     points = coordinates.reshape(-1, 3)
     faces = _read_faces(file, mesh_object, vertex_indices, len(points), name)
     geometry = FbxGeometry(mesh_object.name, points, faces)
@@ -116,12 +116,12 @@ def _read_faces(
     is_valid = (point_indices >= 0) & (point_indices < point_count)
     if not is_last[-1] or not is_valid.all():
         message = f"a face of {name!r} has a corner outside its {point_count} points"
-        file.notes.fail("FBX008", mesh_object.element.location, message)
+        file.diagnostics.fail("FBX008", mesh_object.element.location, message)
     last_corner_indices = np.flatnonzero(is_last)
     corner_counts = np.diff(np.concatenate([[-1], last_corner_indices]))
     if int(corner_counts.max()) * len(corner_counts) > MAX_TABLE_VALUES:
         message = f"faces of {name!r} have up to {int(corner_counts.max())} corners"
-        file.notes.fail("FBX013", mesh_object.element.location, message)
+        file.diagnostics.fail("FBX013", mesh_object.element.location, message)
     face_indices = np.repeat(np.arange(len(corner_counts)), corner_counts)
     first_corner_indices = last_corner_indices + 1 - corner_counts
     corner_numbers = np.arange(len(point_indices)) - first_corner_indices[face_indices]
@@ -134,14 +134,14 @@ def _read_faces(
 def _add_skin(
     file: FbxFile, mesh_object: FbxObject, mesh: FbxGeometry, name: str
 ) -> None:
-    notes = file.notes
+    diagnostics = file.diagnostics
     deformers = file.sources(mesh_object.id, "Deformer")
     for deformer in deformers:
         if deformer.subtype not in {"Skin", "BlendShape"}:
             noun = deformer.subtype or "deformer"
             message = f"{noun} {deformer.name!r} of {name!r} is not supported"
             hint = "the mesh follows only its skin, shapes and node"
-            notes.warn("FBX107", deformer.element.location, message, hint)
+            diagnostics.warn("FBX107", deformer.element.location, message, hint)
     skins = [deformer for deformer in deformers if deformer.subtype == "Skin"]
     if len(skins) > 1:
         # A skin without weights has no effect.
@@ -149,7 +149,7 @@ def _add_skin(
     if len(skins) > 1:
         message = f"{name!r} has {len(skins)} skins on top of each other"
         hint = "export it with one skin"
-        notes.fail("FBX004", mesh_object.element.location, message, hint)
+        diagnostics.fail("FBX004", mesh_object.element.location, message, hint)
     for skin in skins:
         for deformer in file.sources(skin.id, "Deformer", "Cluster"):
             cluster = _read_cluster(file, deformer, len(mesh.points), name)
@@ -162,43 +162,45 @@ def _add_skin(
         elif method not in {"Linear", "Rigid", ""}:
             message = f"skin of {name!r}: {method.lower()} of linear and dual "
             message += "quaternion, read as linear"
-            notes.warn("FBX108", skin.element.location, message)
+            diagnostics.warn("FBX108", skin.element.location, message)
 
 
 def _has_weights(file: FbxFile, skin: FbxObject) -> bool:
     clusters = file.sources(skin.id, "Deformer", "Cluster")
-    all_indices = [read_integers(c.element, "Indexes", file.notes) for c in clusters]
+    all_indices = [
+        read_integers(c.element, "Indexes", file.diagnostics) for c in clusters
+    ]
     return any(indices is not None and len(indices) for indices in all_indices)
 
 
 def _read_cluster(
     file: FbxFile, source: FbxObject, point_count: int, name: str
 ) -> Cluster | None:
-    notes, element = file.notes, source.element
+    diagnostics, element = file.diagnostics, source.element
     bones = [b for b in file.sources(source.id, "Model") if b.id not in ROOT_IDS]
-    indices = read_integers(element, "Indexes", notes)
-    weights = read_floats(element, "Weights", notes)
+    indices = read_integers(element, "Indexes", diagnostics)
+    weights = read_floats(element, "Weights", diagnostics)
     if indices is None or weights is None or not len(indices):
         return None
     if not bones:
         message = f"a cluster of {name!r} has no bone: its weights are ignored"
-        notes.warn("FBX106", element.location, message)
+        diagnostics.warn("FBX106", element.location, message)
         return None
     mode = element.find("Mode")
     if mode is not None and mode.text(0) == "Additive":
         message = f"skin of {name!r}: additive cluster {source.name!r} is not supported"
-        notes.fail("FBX004", element.location, message)
+        diagnostics.fail("FBX004", element.location, message)
     if len(indices) != len(weights):
         message = f"{len(indices)} indices of {source.name!r} have {len(weights)} "
         message += "weights"
-        notes.fail("FBX008", element.location, message)
+        diagnostics.fail("FBX008", element.location, message)
     if (indices < 0).any() or (indices >= point_count).any():
         message = f"cluster {source.name!r} refers to a point that {name!r} does not "
         message += "have"
-        notes.fail("FBX008", element.location, message)
+        diagnostics.fail("FBX008", element.location, message)
     if (weights < -1e-6).any():
         message = f"cluster {source.name!r} has negative weights"
-        notes.fail("FBX008", element.location, message)
+        diagnostics.fail("FBX008", element.location, message)
     bone_from_mesh = _read_matrix(file, element, "Transform")
     world_from_bone = _read_matrix(file, element, "TransformLink")
     weights = np.maximum(weights, 0.0)
@@ -209,7 +211,7 @@ def _read_cluster(
 
 def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     """Return a matrix for column vectors; files store it for row vectors."""
-    numbers = read_floats(element, name, file.notes, 16)
+    numbers = read_floats(element, name, file.diagnostics, 16)
     if numbers is None:
         return np.eye(4)
     matrix = numbers.reshape(4, 4).T.copy()
@@ -218,7 +220,7 @@ def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
     is_singular = not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12
     if is_singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
         message = f"{name} has no inverse"
-        file.notes.fail("FBX008", element.location, message)
+        file.diagnostics.fail("FBX008", element.location, message)
     return matrix
 
 
@@ -265,7 +267,10 @@ def _add_shapes(
     for shape in old_shapes(file, model) if is_old else ():
         name = shape.text(0)
         offsets = _shape_offsets(file, shape, name, len(mesh.points))
-        percent, targets = read_scalar(model, name, 0.0, file.notes), [(100.0, offsets)]
+        percent, targets = (
+            read_scalar(model, name, 0.0, file.diagnostics),
+            [(100.0, offsets)],
+        )
         channel_id = old_shape_id(model.id, name)
         mesh.shapes.append(ShapeChannel(channel_id, name, percent, targets))
     for blend_shape in file.sources(mesh_object.id, "Deformer", "BlendShape"):
@@ -280,11 +285,11 @@ def _add_shapes(
 def _read_shape_channel(
     file: FbxFile, source: FbxObject, point_count: int
 ) -> ShapeChannel | None:
-    notes, element = file.notes, source.element
+    diagnostics, element = file.diagnostics, source.element
     shapes = file.sources(source.id, "Geometry", "Shape")
     if not shapes:
         return None
-    full_weights = read_floats(element, "FullWeights", notes)
+    full_weights = read_floats(element, "FullWeights", diagnostics)
     point_percents = None
     if full_weights is not None and _has_weights_per_point(file):
         point_percents, full_weights = full_weights, None
@@ -294,11 +299,11 @@ def _read_shape_channel(
         if len(shapes) > 1:
             message = f"{counted(len(shapes), 'shape')} of {source.name!r} have no "
             message += "weights"
-            notes.fail("FBX008", element.location, message)
+            diagnostics.fail("FBX008", element.location, message)
         full_weights = np.array([100.0])
-    percent = read_scalar(source, DEFORM_PERCENT, 0.0, notes)
+    percent = read_scalar(source, DEFORM_PERCENT, 0.0, diagnostics)
     if DEFORM_PERCENT not in source.properties:
-        percents = read_floats(element, DEFORM_PERCENT, notes)
+        percents = read_floats(element, DEFORM_PERCENT, diagnostics)
         if percents is not None and len(percents):
             percent = float(percents[0])
     targets = []
@@ -329,19 +334,19 @@ def _shape_offsets(
 
     ``percents`` is the applied percentage of each offset [%].
     """
-    notes = file.notes
+    diagnostics = file.diagnostics
     point_offsets = np.zeros((point_count, 3))
-    indices = read_integers(element, "Indexes", notes)
-    coordinates = read_floats(element, "Vertices", notes)
+    indices = read_integers(element, "Indexes", diagnostics)
+    coordinates = read_floats(element, "Vertices", diagnostics)
     if indices is None or coordinates is None or not len(indices):
         return point_offsets
     if len(coordinates) != 3 * len(indices):
         message = f"{len(indices)} indices of shape {name!r} have {len(coordinates)} "
         message += "numbers"
-        notes.fail("FBX008", element.location, message)
+        diagnostics.fail("FBX008", element.location, message)
     if (indices < 0).any() or (indices >= point_count).any():
         message = f"shape {name!r} counts a point that its mesh has not"
-        notes.fail("FBX008", element.location, message)
+        diagnostics.fail("FBX008", element.location, message)
     offsets = coordinates.reshape(-1, 3)
     if percents is not None and len(percents) == len(offsets):
         offsets = offsets * (percents[:, None] / 100.0)

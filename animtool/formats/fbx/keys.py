@@ -32,40 +32,40 @@ from animtool.formats.fbx.tangents import (
     TCB,
     compute_key_slopes,
 )
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 # Unit of stored handle weights; two of them are packed into 32 bits.
 WEIGHT_UNIT = 1e-4
 
 
 def read_curve(
-    element: Element, notes: FileNotices, *, has_new_ticks: bool = False
+    element: Element, diagnostics: FileDiagnostics, *, has_new_ticks: bool = False
 ) -> FbxCurve | None:
     """Return the curve of an AnimationCurve object (FBX 7000 and newer).
 
     ``has_new_ticks`` says whether there are 141,120,000 ticks per second.
     """
-    times = read_integers(element, "KeyTime", notes)
+    times = read_integers(element, "KeyTime", diagnostics)
     if times is None or not len(times):
         return None
     if has_new_ticks:
         times = convert_new_ticks(times)
     key_count = len(times)
-    values = read_floats(element, "KeyValueFloat", notes, key_count)
-    key_flags = read_integers(element, "KeyAttrFlags", notes)
+    values = read_floats(element, "KeyValueFloat", diagnostics, key_count)
+    key_flags = read_integers(element, "KeyAttrFlags", diagnostics)
     attribute_data = element.find("KeyAttrDataFloat")
-    reference_counts = read_integers(element, "KeyAttrRefCount", notes)
-    check_times(times, element, notes)
+    reference_counts = read_integers(element, "KeyAttrRefCount", diagnostics)
+    check_times(times, element, diagnostics)
     if (
         values is None
         or key_flags is None
         or not attribute_data
         or reference_counts is None
     ):
-        return notes.fail(
+        return diagnostics.fail(
             "FBX006", element.location, "a curve lacks an array of its keys"
         )
-    attribute_bits = _attribute_bits(attribute_data, notes)
+    attribute_bits = _attribute_bits(attribute_data, diagnostics)
     is_valid_count = (reference_counts >= 0) & (reference_counts <= key_count)
     if not (
         len(key_flags) == len(reference_counts)
@@ -74,7 +74,7 @@ def read_curve(
         and int(reference_counts.sum()) == key_count
     ):
         message = f"the attributes of {key_count} keys do not fit them"
-        notes.fail("FBX006", element.location, message)
+        diagnostics.fail("FBX006", element.location, message)
     key_flags = np.repeat(key_flags, reference_counts)
     key_attributes = np.repeat(attribute_bits.reshape(-1, 4), reference_counts, axis=0)
     is_stepped = key_flags & STEPPED != 0
@@ -84,7 +84,7 @@ def read_curve(
     # The third number is the bias of TCB tangents; for others, two packed weights.
     is_finite = np.isfinite(key_data)
     if not is_finite[is_cubic, :2].all() or not is_finite[is_tcb].all():
-        notes.fail("FBX006", element.location, "a slope of a key is not finite")
+        diagnostics.fail("FBX006", element.location, "a slope of a key is not finite")
     packed_weights = key_attributes[:, 2].astype(np.int64) & 0xFFFFFFFF
     weights = np.full((key_count, 2), ONE_THIRD)
     for column, (weight_flag, stored_weights) in enumerate(
@@ -99,10 +99,10 @@ def read_curve(
         times / TICKS_PER_SECOND, values, key_flags, key_data, weights
     )
     curve = FbxCurve(times, values, modes, out_slopes, in_slopes, weights)
-    return validate_curve(curve, element, notes)
+    return validate_curve(curve, element, diagnostics)
 
 
-def _attribute_bits(element: Element, notes: FileNotices) -> Any:
+def _attribute_bits(element: Element, diagnostics: FileDiagnostics) -> Any:
     """Return key attributes as float32 bits; text files store them as integers."""
     values = element.values[0] if len(element.values) == 1 else np.array(element.values)
     array = np.asarray(values)
@@ -110,19 +110,25 @@ def _attribute_bits(element: Element, notes: FileNotices) -> Any:
         with np.errstate(all="ignore"):
             return array.astype(np.float32).view(np.int32)
     if array.dtype.kind != "i" or (np.abs(array) >= 2**32).any():
-        notes.fail("FBX006", element.location, "the attributes of keys must be numbers")
+        diagnostics.fail(
+            "FBX006", element.location, "the attributes of keys must be numbers"
+        )
     return array.astype(np.int64).astype(np.uint32).view(np.int32)
 
 
-def validate_curve(curve: FbxCurve, element: Element, notes: FileNotices) -> FbxCurve:
+def validate_curve(
+    curve: FbxCurve, element: Element, diagnostics: FileDiagnostics
+) -> FbxCurve:
     """Return a curve with its extrapolation, compacted; raise if invalid (FBX006)."""
     times = curve.times
-    check_times(times, element, notes)
+    check_times(times, element, diagnostics)
     for slopes in (curve.out_slopes, curve.in_slopes):
         if not np.isfinite(slopes).all():
-            notes.fail("FBX006", element.location, "a slope of a key is not finite")
-    pre = _read_extrapolation(element, "Pre-Extrapolation", notes)
-    post = _read_extrapolation(element, "Post-Extrapolation", notes)
+            diagnostics.fail(
+                "FBX006", element.location, "a slope of a key is not finite"
+            )
+    pre = _read_extrapolation(element, "Pre-Extrapolation", diagnostics)
+    post = _read_extrapolation(element, "Post-Extrapolation", diagnostics)
     out_slopes, in_slopes = curve.out_slopes, curve.in_slopes
     if not (curve.modes == CUBIC).any() and "K" not in {pre.mode, post.mode}:
         # Slopes of linear segments are not used.
@@ -146,19 +152,25 @@ def _compact_rows(rows: Any) -> Any:
     return rows
 
 
-def check_times(times: IntArray, element: Element, notes: FileNotices) -> None:
+def check_times(
+    times: IntArray, element: Element, diagnostics: FileDiagnostics
+) -> None:
     """Raise if key times descend or are out of range."""
     if len(times) > MAX_KEYS:
-        notes.fail("FBX013", element.location, f"{len(times)} keys in one curve")
+        diagnostics.fail("FBX013", element.location, f"{len(times)} keys in one curve")
     # The smallest integer has no negative counterpart.
     if (times > MAX_TICKS).any() or (times < -MAX_TICKS).any():
-        notes.fail("FBX006", element.location, "the time of a key is out of range")
+        diagnostics.fail(
+            "FBX006", element.location, "the time of a key is out of range"
+        )
     if (np.diff(times) < 0).any():
-        notes.fail("FBX006", element.location, "the times of keys must not descend")
+        diagnostics.fail(
+            "FBX006", element.location, "the times of keys must not descend"
+        )
 
 
 def _read_extrapolation(
-    curve_element: Element, name: str, notes: FileNotices
+    curve_element: Element, name: str, diagnostics: FileDiagnostics
 ) -> FbxExtrapolation:
     element = curve_element.find(name)
     type_element = None if element is None else element.find("Type")
@@ -169,7 +181,7 @@ def _read_extrapolation(
         mode = chr(mode)
     if mode not in tuple("CRAMK"):
         message = f"{name} {mode!r} is not known"
-        notes.fail("FBX006", type_element.location, message)
+        diagnostics.fail("FBX006", type_element.location, message)
     repetition = element.find("Repetition")
-    count = -1.0 if repetition is None else read_number(repetition, 0, notes)
+    count = -1.0 if repetition is None else read_number(repetition, 0, diagnostics)
     return FbxExtrapolation(str(mode), int(max(-1.0, min(count, 1e9))))

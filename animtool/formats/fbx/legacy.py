@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import Element, read_number
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 _PROPERTY_NAMES = {"T": "Lcl Translation", "R": "Lcl Rotation", "S": "Lcl Scaling"}
 # Suffix of a shape's channel name.
@@ -22,25 +22,25 @@ _UNSUPPORTED_PROPERTIES = (
 )
 
 
-def convert_to_objects(root: Element, notes: FileNotices) -> Element:
+def convert_to_objects(root: Element, diagnostics: FileDiagnostics) -> Element:
     """Convert the elements of versions 5000 to 5999 to the 6100 layout."""
     objects = Element("Objects", [], root.location)
     connections = Element("Connections", [], root.location)
     for model in root.find_all("Model"):
-        _add_model(model, objects, connections, notes)
+        _add_model(model, objects, connections, diagnostics)
     settings = Element("Version5", [], root.location, list(root.find_all("Settings")))
     takes = list(root.find_all("Takes"))
     return Element("", [], root.location, [objects, connections, settings, *takes])
 
 
 def _add_model(
-    model: Element, objects: Element, connections: Element, notes: FileNotices
+    model: Element, objects: Element, connections: Element, diagnostics: FileDiagnostics
 ) -> None:
     name = model.text(0)
     for child in model.children:
         if child.name in _UNSUPPORTED_PROPERTIES:
             message = f"{child.name} of {name!r} is not supported in files this old"
-            notes.fail("FBX004", child.location, excerpt(message))
+            diagnostics.fail("FBX004", child.location, excerpt(message))
     type_element = model.find("Type")
     subtype = type_element.text(0) if type_element else ""
     if model.find("Vertices"):
@@ -49,7 +49,7 @@ def _add_model(
     new_model = Element(
         "Model", [f"Model::{name}", subtype], model.location, geometry_elements
     )
-    new_model.children.append(_property_elements(model, notes))
+    new_model.children.append(_property_elements(model, diagnostics))
     objects.children.append(new_model)
     for children in model.find_all("Children"):
         for child in children.values:
@@ -72,14 +72,14 @@ def _add_model(
         _add_connection(connections, f"Model::{bone.text(0)}", cluster_name)
 
 
-def _property_elements(model: Element, notes: FileNotices) -> Element:
+def _property_elements(model: Element, diagnostics: FileDiagnostics) -> Element:
     properties = Element("Properties60", [], model.location)
     for channel in model.find_all("Channel"):
         if channel.text(0) != "Transform":
             default = channel.find("Default")
             if default is not None:
                 label_values = [channel.text(0).removesuffix(SHAPE_SUFFIX), "", ""]
-                property_values = [*label_values, read_number(default, 0, notes)]
+                property_values = [*label_values, read_number(default, 0, diagnostics)]
                 properties.children.append(
                     Element("Property", property_values, channel.location)
                 )
@@ -93,7 +93,7 @@ def _property_elements(model: Element, notes: FileNotices) -> Element:
                 default = axis_channel.find("Default")
                 axis = "XYZ".find(axis_channel.text(0)) if axis_channel.text(0) else -1
                 if default is not None and axis >= 0:
-                    values[axis] = read_number(default, 0, notes)
+                    values[axis] = read_number(default, 0, diagnostics)
             property_values = [name, "", "", *values]
             properties.children.append(
                 Element("Property", property_values, property_channel.location)

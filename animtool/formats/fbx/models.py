@@ -105,7 +105,7 @@ def read_models(file: FbxFile) -> list[Model]:
     ]
     if len(objects) > MAX_MODELS:
         message = f"{len(objects)} nodes; the limit is {MAX_MODELS}"
-        file.notes.fail("FBX013", file.root.location, message)
+        file.diagnostics.fail("FBX013", file.root.location, message)
     parent_ids = {n.id: _parent_model(file, n) for n in objects}
     children: dict[ObjectId | None, list[FbxObject]] = {}
     for node_object in objects:
@@ -125,7 +125,7 @@ def read_models(file: FbxFile) -> list[Model]:
         reachable_ids = {model.object.id for model in models}
         cyclic_object = next(n for n in objects if n.id not in reachable_ids)
         message = f"the node {cyclic_object.name!r} is its own ancestor"
-        file.notes.fail("FBX009", cyclic_object.element.location, message)
+        file.diagnostics.fail("FBX009", cyclic_object.element.location, message)
     return models
 
 
@@ -141,23 +141,23 @@ def _parent_model(file: FbxFile, node: FbxObject) -> ObjectId | None:
     parent_ids = [model.id for model in targets if model.id not in ROOT_IDS]
     if len(set(parent_ids)) > 1:
         message = f"the node {node.name!r} has {len(set(parent_ids))} parents"
-        file.notes.fail("FBX009", node.element.location, message)
+        file.diagnostics.fail("FBX009", node.element.location, message)
     return parent_ids[0] if parent_ids else None
 
 
 def _read_model(file: FbxFile, node: FbxObject, parent: int) -> Model:
-    notes = file.notes
+    diagnostics = file.diagnostics
 
     def read_triple(name: str, default: tuple[float, ...] = _ZERO_VECTOR) -> FloatArray:
-        return np.array(read_vector(node, name, default, notes))
+        return np.array(read_vector(node, name, default, diagnostics))
 
     unit_scale = (1.0, 1.0, 1.0)
     translation, rotation = read_triple(TRANSLATION), read_triple(ROTATION)
     base_values = np.stack([translation, rotation, read_triple(SCALING, unit_scale)])
-    has_outer_rotations = bool(read_scalar(node, "RotationActive", 0, notes))
+    has_outer_rotations = bool(read_scalar(node, "RotationActive", 0, diagnostics))
     order_index, pre_angles, post_angles = 0, _ZERO_VECTOR, _ZERO_VECTOR
     if has_outer_rotations:
-        order_index = int(read_scalar(node, "RotationOrder", 0, notes))
+        order_index = int(read_scalar(node, "RotationOrder", 0, diagnostics))
         pre_angles, post_angles = (
             tuple(read_triple(f"{name}Rotation")) for name in ("Pre", "Post")
         )
@@ -165,14 +165,16 @@ def _read_model(file: FbxFile, node: FbxObject, parent: int) -> Model:
         message = f"the node {node.name!r} has rotation order {order_index}, which is "
         message += "not supported"
         hint = "spherical XYZ is specific to MotionBuilder; export with an Euler order"
-        notes.fail("FBX004", node.element.location, message, hint)
+        diagnostics.fail("FBX004", node.element.location, message, hint)
     outer_angles = np.array([pre_angles, post_angles])
     outer_rotations = rotations_from_angles(outer_angles, XYZ_PRODUCT)
-    scale_inheritance = int(read_scalar(node, "InheritType", INHERIT_SCALE, notes))
+    scale_inheritance = int(
+        read_scalar(node, "InheritType", INHERIT_SCALE, diagnostics)
+    )
     if scale_inheritance not in {COMPONENTWISE_SCALE, INHERIT_SCALE, IGNORE_SCALE}:
         message = f"the node {node.name!r} has inherit type {scale_inheritance}, which "
         message += "is not supported"
-        notes.fail("FBX004", node.element.location, message)
+        diagnostics.fail("FBX004", node.element.location, message)
     geometric_transform = np.eye(4)
     rotation = rotations_from_angles(
         read_triple("GeometricRotation")[None], XYZ_PRODUCT

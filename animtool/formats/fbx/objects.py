@@ -15,7 +15,7 @@ from animtool.formats.fbx.binary import BINARY_MAGIC, read_binary
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.legacy import convert_to_objects
 from animtool.formats.fbx.text import looks_like_text, read_text
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 # Supported versions; the layout of others is unknown.
 MIN_VERSION, MAX_VERSION = 5000, 7999
@@ -56,7 +56,7 @@ class FbxFile:
     root: Element  # the root element
     objects: dict[ObjectId, FbxObject]  # objects by id, in file order
     settings: FbxObject  # global properties
-    notes: FileNotices  # collects warnings and notes
+    diagnostics: FileDiagnostics  # collects warnings and notes
     incoming_connections: Connections = field(default_factory=dict)  # from sources
     outgoing_connections: Connections = field(default_factory=dict)  # to targets
 
@@ -84,7 +84,10 @@ def _is_of_kind(candidate: FbxObject, kind: str, subtype: str | None) -> bool:
 
 
 def read_vector(
-    owner: FbxObject, name: str, default: tuple[float, ...], notes: FileNotices
+    owner: FbxObject,
+    name: str,
+    default: tuple[float, ...],
+    diagnostics: FileDiagnostics,
 ) -> tuple[float, ...]:
     """Return as many numbers of a property as the default has, else the default."""
     values = owner.values(name)[: len(default)]
@@ -93,37 +96,37 @@ def read_vector(
     if not all(isinstance(v, int | float) and abs(v) <= FLOAT32_MAX for v in values):
         message = f"{name} of {owner.name!r} must be numbers, not "
         message += excerpt(str(values))
-        notes.fail("FBX005", owner.element.location, message)
+        diagnostics.fail("FBX005", owner.element.location, message)
     return tuple(float(value) for value in values)
 
 
 def read_scalar(
-    owner: FbxObject, name: str, default: float, notes: FileNotices
+    owner: FbxObject, name: str, default: float, diagnostics: FileDiagnostics
 ) -> float:
-    """Return a scalar property, or the default without one."""
-    return read_vector(owner, name, (default,), notes)[0]
+    """Return a scalar property, or the default if it is missing."""
+    return read_vector(owner, name, (default,), diagnostics)[0]
 
 
 @expects_format("FBX001", "an FBX file")
 def open_objects(path: Path | str) -> FbxFile:
     """Read the objects and connections of an FBX file."""
     path = Path(path)
-    notes = FileNotices(str(path))
+    diagnostics = FileDiagnostics(str(path))
     content = read_input(path)
     is_text = not content.startswith(BINARY_MAGIC)
     if is_text and not looks_like_text(content):
         message = "does not start like an FBX, binary or ASCII; export it again"
         raise FormatError(Fault("FBX001", message, str(path), where="byte 0"))
-    version, root = (read_text if is_text else read_binary)(content, notes)
+    version, root = (read_text if is_text else read_binary)(content, diagnostics)
     version = _find_version(root, version)
     if not MIN_VERSION <= version <= MAX_VERSION:
         message = f"version {version} is not supported, only {MIN_VERSION} to "
         message += f"{MAX_VERSION}"
         hint = "save it as FBX 2020 with Autodesk's FBX Converter or any tool that "
         hint += "imports it"
-        notes.fail("FBX003", root.location, message, hint)
+        diagnostics.fail("FBX003", root.location, message, hint)
     if version < FIRST_OBJECT_VERSION:
-        root = convert_to_objects(root, notes)
+        root = convert_to_objects(root, diagnostics)
     default_properties = _default_properties(root)
     objects: dict[ObjectId, FbxObject] = {}
     settings = FbxObject(-1, "GlobalSettings", "", "", root, {}, {})
@@ -138,10 +141,10 @@ def open_objects(path: Path | str) -> FbxFile:
         if fbx_object.id in objects:
             message = f"two objects have the ID {excerpt(str(fbx_object.id))}: using "
             message += "the first"
-            notes.warn("FBX106", element.location, message)
+            diagnostics.warn("FBX106", element.location, message)
             continue
         objects[fbx_object.id] = fbx_object
-    file = FbxFile(path, version, root, objects, settings, notes)
+    file = FbxFile(path, version, root, objects, settings, diagnostics)
     _connect_objects(file)
     return file
 

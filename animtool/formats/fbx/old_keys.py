@@ -29,7 +29,7 @@ from animtool.formats.fbx.tangents import (
     USER,
     compute_key_slopes,
 )
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 # Key layouts by KeyVer: that of 6100, the first whose constant keys state which value
 # applies, and one without tangent weights.
@@ -39,7 +39,7 @@ DEFAULT_5000_LAYOUT = 4004
 
 
 def read_channel_curve(
-    element: Element, notes: FileNotices, default_layout: int
+    element: Element, diagnostics: FileDiagnostics, default_layout: int
 ) -> FbxCurve | None:
     """Return the curve of a channel of a take (before FBX 7000).
 
@@ -51,7 +51,7 @@ def read_channel_curve(
     version = element.find("KeyVer")
     key_version = None if version is None or not version.values else version.values[0]
     key_layout = key_version if isinstance(key_version, int) else default_layout
-    cursor, key_rows = _KeyCursor(key_element, notes, key_layout), []
+    cursor, key_rows = _KeyCursor(key_element, diagnostics, key_layout), []
     while cursor.has_more():
         key_rows.append(_read_key(cursor))
     if cursor.approximated_kinds:
@@ -60,13 +60,13 @@ def read_channel_curve(
             "are read as automatic ones, between the keys"
         )
         hint = "bake the curves before exporting, or export FBX 2011 or later"
-        notes.warn("FBX120", element.location, message, hint)
+        diagnostics.warn("FBX120", element.location, message, hint)
     columns = list(zip(*key_rows, strict=True))
     times, values = np.array(columns[0], np.int64), np.array(columns[1])
     flags = np.array(columns[2], np.int64)
     slopes = np.stack((*columns[3:5], columns[4]), axis=1)
     weights = np.stack(columns[5:7], axis=1)
-    check_times(times, element, notes)
+    check_times(times, element, diagnostics)
     out_slopes, in_slopes = compute_key_slopes(
         times / TICKS_PER_SECOND, values, flags, slopes, weights
     )
@@ -74,17 +74,19 @@ def read_channel_curve(
     modes = np.where(flags & STEPPED != 0, step_modes, LINEAR)
     modes[flags & CURVED != 0] = CUBIC
     curve = FbxCurve(times, values, modes, out_slopes, in_slopes, weights)
-    return validate_curve(curve, element, notes)
+    return validate_curve(curve, element, diagnostics)
 
 
 class _KeyCursor:
     """Reads the numbers and letters that state the keys of a channel, in order."""
 
-    def __init__(self, element: Element, notes: FileNotices, key_layout: int) -> None:
+    def __init__(
+        self, element: Element, diagnostics: FileDiagnostics, key_layout: int
+    ) -> None:
         values = element.values
         is_array = len(values) == 1 and isinstance(values[0], np.ndarray)
         self.values = values[0].tolist() if is_array else values
-        self.element, self.notes, self.offset = element, notes, 0
+        self.element, self.diagnostics, self.offset = element, diagnostics, 0
         self.key_layout = key_layout
         self.approximated_kinds: set[str] = set()
 
@@ -116,7 +118,7 @@ class _KeyCursor:
         return value if isinstance(value, str) else self.fail(f"{value!r} in a key")
 
     def fail(self, message: str) -> Any:
-        return self.notes.fail("FBX006", self.element.location, message)
+        return self.diagnostics.fail("FBX006", self.element.location, message)
 
 
 def _read_key(cursor: _KeyCursor) -> tuple[int, float, int, float, float, float, float]:

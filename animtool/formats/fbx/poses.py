@@ -55,7 +55,7 @@ class NodeTransforms:
     """Evaluates node transforms at given times of a take, each node once."""
 
     def __init__(self, scene: FbxScene, take: AnimTake | None, ticks: IntArray) -> None:
-        """Evaluate at times ``(F,)`` [ticks]; without a take, the saved scene."""
+        """Evaluate at times ``(F,)`` [ticks]; the saved scene if there is no take."""
         self.models, self.take, self.ticks = scene.models, take, ticks
         self.basis = scene.settings.basis
         self._axes_rotation = so3.from_matrix(self.basis)

@@ -89,7 +89,7 @@ def read_fbx(
     clock = find_frame_range(scene, anim_take, rate, sampler.values_per_frame)
     stream = build_stream(fbx_rig, sampler, clock)
     stream.notices[:] = [
-        *scene.file.notes.notices,
+        *scene.file.diagnostics.notices,
         *notices,
         *fbx_rig.notices,
         *take_notes,
@@ -116,7 +116,7 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
     scene = open_fbx(path)
     character, notices = choose_character(scene, prim_path, *CHARACTER_CODES)
     fbx_rig = build_rig(scene, character, Path(path).stem)
-    notices = [*scene.file.notes.notices, *notices, *fbx_rig.notices]
+    notices = [*scene.file.diagnostics.notices, *notices, *fbx_rig.notices]
     notices += scale_notice(fbx_rig, str(path))
     return replace(fbx_rig.rig, notices=tuple(notices))
 

@@ -49,7 +49,7 @@ class FbxSampler:
     """Samples a take's motion on a rig at arbitrary times."""
 
     def __init__(self, scene: FbxScene, fbx_rig: FbxRig, take: AnimTake | None) -> None:
-        """Prepare to sample a take, or the saved pose without one, on a rig."""
+        """Prepare to sample a take on a rig, or the saved pose if there is no take."""
         self.scene, self.fbx_rig, self.take = scene, fbx_rig, take
         finder = AnimatedComponents(scene.models, take)
         is_animated = np.array(

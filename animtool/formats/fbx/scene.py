@@ -162,4 +162,4 @@ def _warn_of_constraints(file: FbxFile) -> None:
         message = "constraints are not evaluated: "
         message += listed(names, MAX_LISTED_OBJECTS)
         hint = "driven nodes follow their curves only; bake them before exporting"
-        file.notes.warn("FBX107", constraints[0].element.location, message, hint)
+        file.diagnostics.warn("FBX107", constraints[0].element.location, message, hint)

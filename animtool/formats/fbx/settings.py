@@ -59,11 +59,11 @@ def read_settings(file: FbxFile, up: UpAxis | None) -> FbxSettings:
 
     ``up`` is the up axis of the file; None is the stated axis.
     """
-    notes, settings = file.notes, file.settings
-    unit_factor = read_scalar(settings, "UnitScaleFactor", 1.0, notes)
+    diagnostics, settings = file.diagnostics, file.settings
+    unit_factor = read_scalar(settings, "UnitScaleFactor", 1.0, diagnostics)
     if not 1e-9 <= unit_factor <= 1e12:
         message = f"UnitScaleFactor is {unit_factor:g}, and must be positive"
-        notes.fail("FBX005", settings.element.location, message)
+        diagnostics.fail("FBX005", settings.element.location, message)
     up_and_basis = (up, np.eye(3)) if up is not None else _read_axes(file)
     return FbxSettings(unit_factor / 100.0, *up_and_basis, _read_rate(file))
 
@@ -79,7 +79,7 @@ def has_new_ticks(file: FbxFile) -> bool:
     if tick_definition not in {_NEW_TICK_DEFINITION, _OLD_TICK_DEFINITION}:
         message = f"unknown TCDefinition {excerpt(str(tick_definition))}: using "
         message += str(_OLD_TICK_DEFINITION)
-        file.notes.warn("FBX106", element.location, message)
+        file.diagnostics.warn("FBX106", element.location, message)
     return bool(tick_definition == _NEW_TICK_DEFINITION)
 
 
@@ -108,34 +108,34 @@ def _read_axes(file: FbxFile) -> tuple[UpAxis, FloatArray]:
     """
     axis_rows = []
     for name, axis in (("CoordAxis", 0), ("UpAxis", 1), ("FrontAxis", 2)):
-        index = int(read_scalar(file.settings, name, axis, file.notes))
-        sign = read_scalar(file.settings, f"{name}Sign", 1.0, file.notes)
+        index = int(read_scalar(file.settings, name, axis, file.diagnostics))
+        sign = read_scalar(file.settings, f"{name}Sign", 1.0, file.diagnostics)
         if index not in {0, 1, 2}:
             message = f"{name} is {index}, and must be 0, 1 or 2"
-            file.notes.fail("FBX007", file.settings.element.location, message)
+            file.diagnostics.fail("FBX007", file.settings.element.location, message)
         axis_rows.append(np.eye(3)[index] * (-1.0 if sign < 0 else 1.0))
     basis = np.array(axis_rows)
     if np.linalg.det(basis) < 0.5:
         message = "the axes of the file are left-handed, or two are the same"
-        file.notes.fail("FBX007", file.settings.element.location, message)
+        file.diagnostics.fail("FBX007", file.settings.element.location, message)
     if (basis == [[1, 0, 0], [0, 0, 1], [0, -1, 0]]).all():
         return UpAxis.Z, np.eye(3)
     return UpAxis.Y, basis
 
 
 def _read_rate(file: FbxFile) -> Fraction:
-    time_mode = int(read_scalar(file.settings, "TimeMode", 0.0, file.notes))
+    time_mode = int(read_scalar(file.settings, "TimeMode", 0.0, file.diagnostics))
     if time_mode == CUSTOM_TIME_MODE:
-        rate = read_scalar(file.settings, "CustomFrameRate", 24.0, file.notes)
+        rate = read_scalar(file.settings, "CustomFrameRate", 24.0, file.diagnostics)
         if not 0.01 <= rate <= 100_000:
             message = f"CustomFrameRate is {rate:g}, and must be positive"
-            file.notes.fail("FBX005", file.settings.element.location, message)
+            file.diagnostics.fail("FBX005", file.settings.element.location, message)
         return parse_rate(f"{rate:.9g}")
     if "TimeMode" not in file.settings.properties:
         return _read_old_rate(file)
     if time_mode not in _RATES:
         message = f"unknown time mode {time_mode}: using {_RATES[0]} frames per second"
-        file.notes.warn("FBX106", file.settings.element.location, message)
+        file.diagnostics.warn("FBX106", file.settings.element.location, message)
     return _RATES.get(time_mode, _RATES[0])
 
 

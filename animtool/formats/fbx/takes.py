@@ -136,11 +136,13 @@ class _StackReader:
         layers = file.sources(stack.id, "AnimationLayer")
         if len(layers) > MAX_LAYERS:
             message = f"{len(layers)} layers of {stack.name!r}"
-            file.notes.fail("FBX013", stack.element.location, message)
-        active_layers = [o for o in layers if read_scalar(o, "Solo", 0, file.notes)]
+            file.diagnostics.fail("FBX013", stack.element.location, message)
+        active_layers = [
+            o for o in layers if read_scalar(o, "Solo", 0, file.diagnostics)
+        ]
         if not active_layers:
             active_layers = [
-                o for o in layers if not read_scalar(o, "Mute", 0, file.notes)
+                o for o in layers if not read_scalar(o, "Mute", 0, file.diagnostics)
             ]
         take.layers += [layer.name for layer in layers]
         for i, layer in enumerate(layers):
@@ -184,14 +186,15 @@ class _StackReader:
             return
         message = f"take {take.name!r}: {name} over time is not read"
         hint = "bake the animation before exporting"
-        self.file.notes.fail("FBX004", curve_node.element.location, message, hint)
+        self.file.diagnostics.fail("FBX004", curve_node.element.location, message, hint)
 
     def _layer_values(
         self, curve_node: FbxObject, name: str, layer: Layer, is_first: bool
     ) -> LayerValues:
         components, default = COMPONENTS[name], _CHANNEL_DEFAULTS[name]
         defaults = [
-            read_scalar(curve_node, c, default, self.file.notes) for c in components
+            read_scalar(curve_node, c, default, self.file.diagnostics)
+            for c in components
         ]
         curves = self._node_curves(curve_node)
         return LayerValues(layer, is_first, defaults, [*map(curves.get, components)])
@@ -212,8 +215,8 @@ class _StackReader:
         return curves
 
     def _read_curve(self, element: Element) -> FbxCurve | None:
-        notes = self.file.notes
-        curve = read_curve(element, notes, has_new_ticks=self._has_new_ticks)
+        diagnostics = self.file.diagnostics
+        curve = read_curve(element, diagnostics, has_new_ticks=self._has_new_ticks)
         if curve is None:
             return None
         # The element's arrays are no longer needed.
@@ -233,23 +236,25 @@ class _StackReader:
         return ticks
 
     def _read_layer(self, layer_object: FbxObject) -> Layer:
-        notes = self.file.notes
-        mode = int(read_scalar(layer_object, "BlendMode", 0, notes))
+        diagnostics = self.file.diagnostics
+        mode = int(read_scalar(layer_object, "BlendMode", 0, diagnostics))
         if mode not in {0, 1, 2}:
             message = f"layer {layer_object.name!r}: blend mode {mode} is not supported"
-            notes.fail("FBX004", layer_object.element.location, message)
-        curve, weight = None, read_scalar(layer_object, "Weight", 100.0, notes)
+            diagnostics.fail("FBX004", layer_object.element.location, message)
+        curve, weight = None, read_scalar(layer_object, "Weight", 100.0, diagnostics)
         for source_id, name in self.file.incoming_connections.get(layer_object.id, ()):
             curve_node = self.file.objects.get(source_id)
             if name == "Weight" and curve_node is not None:
                 curve = next(iter(self._node_curves(curve_node).values()), None)
-                weight = read_scalar(curve_node, "d|Weight", weight, notes)
+                weight = read_scalar(curve_node, "d|Weight", weight, diagnostics)
         return Layer(
             min(max(weight / 100.0, 0.0), 1.0),
             curve,
             mode,
-            int(read_scalar(layer_object, "RotationAccumulationMode", 0, notes)) == 0,
-            int(read_scalar(layer_object, "ScaleAccumulationMode", 0, notes)) == 0,
+            int(read_scalar(layer_object, "RotationAccumulationMode", 0, diagnostics))
+            == 0,
+            int(read_scalar(layer_object, "ScaleAccumulationMode", 0, diagnostics))
+            == 0,
         )
 
 
@@ -265,7 +270,8 @@ def _read_old_takes(file: FbxFile) -> list[AnimTake]:
             span = element.find("LocalTime")
             if span is not None and len(span.values) > 1:
                 take.start_ticks, take.end_ticks = (
-                    _clamp_ticks(int(read_number(span, i, file.notes))) for i in (0, 1)
+                    _clamp_ticks(int(read_number(span, i, file.diagnostics)))
+                    for i in (0, 1)
                 )
             for model in element.find_all("Model"):
                 _read_old_model(file, take, model)
@@ -285,7 +291,7 @@ def _read_old_model(file: FbxFile, take: AnimTake, model: Element) -> None:
             take.has_animated_visibility |= channel.find("Key") is not None
         if channel.find("Layer") is not None:
             message = f"take {take.name!r}: layers of {name!r} are not supported"
-            file.notes.fail("FBX004", channel.location, excerpt(message))
+            file.diagnostics.fail("FBX004", channel.location, excerpt(message))
         if file.version < FIRST_OBJECT_VERSION:
             channel_name = channel_name.removesuffix(SHAPE_SUFFIX)
         if channel_name in shapes:
@@ -337,7 +343,7 @@ def _read_old_track(
             continue
         default = axis_channel.find("Default")
         if default is not None:
-            defaults[k] = read_number(default, 0, file.notes)
-        curves[k] = read_channel_curve(axis_channel, file.notes, layout)
+            defaults[k] = read_number(default, 0, file.diagnostics)
+        curves[k] = read_channel_curve(axis_channel, file.diagnostics, layout)
     values = LayerValues(Layer(), True, defaults, curves)
     take.tracks.setdefault((object_id, name), PropertyTrack(name, [values]))

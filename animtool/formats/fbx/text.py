@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.errors import excerpt
 from animtool.formats.fbx.elements import MAX_ELEMENTS, MAX_NESTING, Element
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 _TOKEN_PATTERN = re.compile(
     rb"""(?P<space>(?:[\s\x00]+|;[^\n]*)+)
@@ -36,7 +36,7 @@ def looks_like_text(content: bytes) -> bool:
     return bool(_COMMENT_PATTERN.match(start)) or b"FBXHeaderExtension" in start
 
 
-def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
+def read_text(content: bytes, diagnostics: FileDiagnostics) -> tuple[int, Element]:
     """Return the version and root element of a text FBX."""
     match = _VERSION_PATTERN.search(content, 0, 100_000)
     version = int(match[1]) if match else 0
@@ -44,14 +44,14 @@ def read_text(content: bytes, notes: FileNotices) -> tuple[int, Element]:
         comment = _COMMENT_PATTERN.match(content)
         digits = comment.groups() if comment else (b"0",)
         version = int(b"".join(digits)) * 10
-    return version, _TextParser(content, notes).parse()
+    return version, _TextParser(content, diagnostics).parse()
 
 
 class _TextParser:
     """Parses the elements of a file in one pass."""
 
-    def __init__(self, content: bytes, notes: FileNotices) -> None:
-        self.content, self.notes = content, notes
+    def __init__(self, content: bytes, diagnostics: FileDiagnostics) -> None:
+        self.content, self.diagnostics = content, diagnostics
         self.element_count = 0
         self._line_offset, self._line = 0, 1
         self.open_elements = [Element("", [], "line 1")]
@@ -67,7 +67,9 @@ class _TextParser:
 
     def fail_at(self, offset: int, message: str) -> NoReturn:
         line = self.content.count(b"\n", 0, offset) + 1
-        self.notes.fail("FBX001", f"line {line}", message, "copy or export it again")
+        self.diagnostics.fail(
+            "FBX001", f"line {line}", message, "copy or export it again"
+        )
 
     def parse(self) -> Element:
         root = self.open_elements[0]
@@ -119,7 +121,7 @@ class _TextParser:
             self.open_elements.append(self.current_element)
             if len(self.open_elements) > MAX_NESTING:
                 message = f"more than {MAX_NESTING} levels"
-                self.notes.fail("FBX013", self.line_label(offset), message)
+                self.diagnostics.fail("FBX013", self.line_label(offset), message)
             self.current_element = None
         elif character == b"}":
             if len(self.open_elements) == 1:
@@ -135,7 +137,7 @@ class _TextParser:
         self.element_count += 1
         if self.element_count > MAX_ELEMENTS:
             message = f"more than {MAX_ELEMENTS} elements"
-            self.notes.fail("FBX013", self.line_label(offset), message)
+            self.diagnostics.fail("FBX013", self.line_label(offset), message)
         name = token["name"].decode("utf-8", "replace")
         self.current_element = Element(name, [], self.line_label(offset))
         self.open_elements[-1].children.append(self.current_element)

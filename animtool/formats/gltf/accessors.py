@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.record import dataclass
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 from animtool.formats.gltf.container import Buffers, Container
 from animtool.formats.gltf.json_items import JsonItem
 from animtool.formats.gltf.unused import UnusedIndices
@@ -101,7 +101,7 @@ class Accessors:
     container: Container
     folder: Path
     unused_indices: UnusedIndices  # indices of what is never read
-    notes: FileNotices = field(init=False)
+    diagnostics: FileDiagnostics = field(init=False)
     buffers: Buffers = field(init=False)
     views: list[BufferView | None] = field(default_factory=list)
     by_index: list[Accessor | None] = field(default_factory=list)
@@ -111,15 +111,15 @@ class Accessors:
 
     def __post_init__(self) -> None:
         """Check all lengths; no buffer is opened."""
-        root = self.container.root
-        self.notes = root.notes
+        json_root = self.container.json_root
+        self.diagnostics = json_root.diagnostics
         self.buffers = Buffers(self.container, self.folder)
         for i in range(len(self.buffers)):
             if i not in self.unused_indices.buffers:
                 self.buffers.check_available(i)
-        for i, item in enumerate(root.children("bufferViews")):
+        for i, item in enumerate(json_root.children("bufferViews")):
             self.views.append(self._read_view(item, i in self.unused_indices.views))
-        for i, item in enumerate(root.children("accessors")):
+        for i, item in enumerate(json_root.children("accessors")):
             is_unused = i in self.unused_indices.accessors
             self.by_index.append(None if is_unused else self._read_accessor(item))
 
@@ -178,7 +178,7 @@ class Accessors:
         max_numbers = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
         if self._number_count > max_numbers or self._zero_count > MAX_ZERO_NUMBERS:
             message = f"{accessor.count} elements need more bytes than the file has"
-            self.notes.fail("GLT013", accessor.pointer, message)
+            self.diagnostics.fail("GLT013", accessor.pointer, message)
 
     def _dense_values(self, accessor: Accessor) -> AnyArray:
         dtype = COMPONENT_TYPES[accessor.component_type]
@@ -204,7 +204,7 @@ class Accessors:
         indices = rows[:, 0].astype(np.int64)
         if (np.diff(indices) <= 0).any() or indices[-1] >= accessor.count:
             message = f"sparse indices must ascend, below {accessor.count}"
-            self.notes.fail("GLT006", f"{pointer}/indices", message)
+            self.diagnostics.fail("GLT006", f"{pointer}/indices", message)
         values = base.copy()
         shape = sparse.count, accessor.width
         values[indices] = self._read_elements(
@@ -233,7 +233,9 @@ class Accessors:
     def _require_view(self, index: int, pointer: str) -> BufferView:
         view = self.views[index]
         if view is None:
-            self.notes.fail("GLT008", pointer, f"bufferView {index} holds an image")
+            self.diagnostics.fail(
+                "GLT008", pointer, f"bufferView {index} holds an image"
+            )
         return view
 
     def _read_view(self, item: JsonItem, is_ignored: bool) -> BufferView | None:
@@ -246,10 +248,10 @@ class Accessors:
         available_bytes = self.buffers.size(buffer)
         if offset + length > available_bytes:
             message = f"ends at byte {offset + length} of a buffer of {available_bytes}"
-            self.notes.fail("GLT008", item.pointer, message)
+            self.diagnostics.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
             message = f"byteStride {stride} is not a multiple of 4 from 4 to 252"
-            self.notes.warn("GLT105", item.pointer_to("byteStride"), message)
+            self.diagnostics.warn("GLT105", item.pointer_to("byteStride"), message)
         return BufferView(item, buffer, offset, length, stride)
 
     def _read_accessor(self, item: JsonItem) -> Accessor | None:
@@ -265,13 +267,13 @@ class Accessors:
         ):
             if not is_known:
                 message = f"unknown {key} {item.values[key]!r}: ignored"
-                self.notes.warn("GLT106", item.pointer_to(key), message)
+                self.diagnostics.warn("GLT106", item.pointer_to(key), message)
                 return None
         view = item.index("bufferView", len(self.views), "bufferView")
         offset = item.size("byteOffset", 0)
         if view < 0 and "byteOffset" in item.values:
             message = "the bufferView is missing"
-            self.notes.warn("GLT106", item.pointer_to("byteOffset"), message)
+            self.diagnostics.warn("GLT106", item.pointer_to("byteOffset"), message)
         accessor = Accessor(
             item,
             component_type,
@@ -295,7 +297,7 @@ class Accessors:
         if view is not None and view.stride:
             message = f"bufferView {accessor.view_index} has a byteStride, "
             message += "and holds no vertices"
-            self.notes.warn("GLT105", pointer, message)
+            self.diagnostics.warn("GLT105", pointer, message)
 
     def _check_inside(self, accessor: Accessor) -> None:
         """Raise if an accessor or its sparse values exceed their views (GLT008)."""
@@ -310,13 +312,13 @@ class Accessors:
             if stride < element_bytes:
                 message = f"elements have {element_bytes} bytes, but byteStride is "
                 message += f"{stride}"
-                self.notes.fail("GLT008", accessor.pointer, message)
+                self.diagnostics.fail("GLT008", accessor.pointer, message)
             end = accessor.offset + stride * (accessor.count - 1) + element_bytes
             if end > view.length:
                 self._fail_beyond_view(accessor.pointer, end, view)
             if (view.offset + accessor.offset) % dtype.itemsize:
                 message = f"its bytes do not start at a multiple of {dtype.itemsize}"
-                self.notes.warn("GLT105", accessor.pointer, message)
+                self.diagnostics.warn("GLT105", accessor.pointer, message)
         sparse = accessor.sparse
         if sparse is None:
             return
@@ -333,7 +335,7 @@ class Accessors:
 
     def _fail_beyond_view(self, pointer: str, end: int, view: BufferView) -> NoReturn:
         message = f"reads up to byte {end} of a bufferView of {view.length}"
-        self.notes.fail("GLT008", pointer, message)
+        self.diagnostics.fail("GLT008", pointer, message)
 
     def _read_sparse(self, item: JsonItem, count: int) -> SparseValues | None:
         sparse = item.child("sparse")
@@ -370,7 +372,7 @@ def _check_bound_lengths(accessor: Accessor) -> None:
         is_list = isinstance(bounds, list) and len(bounds) == accessor.width
         if not is_list or not {*map(type, bounds)} <= {int, float}:
             message = f"{key} is not {accessor.width} numbers: it is ignored"
-            item.notes.warn("GLT102", item.pointer_to(key), message)
+            item.diagnostics.warn("GLT102", item.pointer_to(key), message)
 
 
 def _element_bytes(element_type: str, dtype: np.dtype[Any]) -> int:
@@ -393,4 +395,4 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
     if len(non_finite_indices):
         element, value = int(non_finite_indices[0, 0]), values[*non_finite_indices[0]]
         message = f"element {element} is {value}, not finite"
-        accessor.item.notes.fail("GLT010", accessor.pointer, message)
+        accessor.item.diagnostics.fail("GLT010", accessor.pointer, message)

@@ -66,7 +66,7 @@ def read_channel_target(
     node = target.index("node", len(nodes), "node")
     if path not in {"translation", "rotation", "scale", "weights"}:
         message = f"unknown path {excerpt(path)}: the channel is ignored"
-        target.notes.warn("GLT106", target.pointer_to("path"), message)
+        target.diagnostics.warn("GLT106", target.pointer_to("path"), message)
         return None
     if node < 0:
         # Without a node, the target belongs to an extension, or is ignored.
@@ -88,12 +88,12 @@ def _build_node_target(
         if weight_index >= target_count or not target_count:
             message = f"node {node} has {target_count} morph targets: the channel is "
             message += "ignored"
-            target.notes.warn("GLT106", target.pointer, message)
+            target.diagnostics.warn("GLT106", target.pointer, message)
             return None
         return _weights_target(node, -1, target_count, weight_index)
     if nodes[node].has_matrix and path is not TargetPath.VISIBLE:
         message = f"the matrix of node {node}, which is animated, is decomposed"
-        target.notes.warn("GLT106", target.pointer, message)
+        target.diagnostics.warn("GLT106", target.pointer, message)
     return ChannelTarget(node, -1, path, -1, _PATH_WIDTHS[path])
 
 
@@ -115,17 +115,17 @@ def _read_pointer_target(
     text = None if extension is None else extension.text("pointer")
     if text is None:
         message = f"a channel of {POINTER_EXTENSION} without a pointer is ignored"
-        target.notes.warn("GLT106", target.pointer, message)
+        target.diagnostics.warn("GLT106", target.pointer, message)
         return None
     if not text.startswith("/"):
         pointer = extension.pointer_to("pointer") if extension else target.pointer
         message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
-        target.notes.warn("GLT106", pointer, message)
+        target.diagnostics.warn("GLT106", pointer, message)
         return None
     if match := _NODE_POINTER_PATTERN.fullmatch(text):
         node = int(match[1][:9])
         if node >= len(nodes):
-            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
+            target.diagnostics.fail("GLT006", target.pointer, f"{text} does not exist")
         path = TargetPath.VISIBLE if "/" in match[2] else TargetPath(match[2])
         if match[3] is None or path is TargetPath.WEIGHTS:
             weight_index = -1 if match[3] is None else int(match[3][:9])
@@ -133,7 +133,7 @@ def _read_pointer_target(
     elif match := _MESH_POINTER_PATTERN.fullmatch(text):
         mesh = int(match[1][:9])
         if mesh >= len(meshes):
-            target.notes.fail("GLT006", target.pointer, f"{text} does not exist")
+            target.diagnostics.fail("GLT006", target.pointer, f"{text} does not exist")
         target_count = meshes[mesh].target_count
         weight_index = -1 if match[2] is None else int(match[2][:9])
         if target_count and weight_index < target_count:

@@ -148,7 +148,7 @@ class Animation:
 
     @property
     def span(self) -> tuple[float, float]:
-        """Times of first and last key [s]; 0 without keys."""
+        """Times of first and last key [s]; 0 if there are no keys."""
         if not self.tracks:
             return 0.0, 0.0
         first = min(float(track.times[0]) for track in self.tracks)
@@ -201,7 +201,7 @@ class _SamplerReader:
 
 
 def read_animations(
-    root: JsonItem,
+    json_root: JsonItem,
     accessors: Accessors,
     nodes: Sequence[Node],
     meshes: Sequence[GltfMesh],
@@ -209,7 +209,7 @@ def read_animations(
     """Return the animations of a file, with checked keys."""
     return tuple(
         _read_animation(item, accessors, nodes, meshes)
-        for item in root.children("animations")
+        for item in json_root.children("animations")
     )
 
 
@@ -235,13 +235,13 @@ def _read_animation(
         if target_key in pointers_by_target:
             message = f"two channels of the animation move {target.path}"
             pointer = f"{pointers_by_target[target_key]}/target"
-            channel.notes.fail("GLT012", pointer, message)
+            channel.diagnostics.fail("GLT012", pointer, message)
         pointers_by_target[target_key] = channel.pointer
         tracks.append(_read_track(channel, target, samplers, index))
     if ignored_targets:
         names = ", ".join(ignored_targets)
         message = f"channels of unsupported targets are ignored: {names}"
-        item.notes.warn("GLT108", item.pointer, message, severity=Severity.NOTE)
+        item.diagnostics.warn("GLT108", item.pointer, message, severity=Severity.NOTE)
     extras = item.values.get("extras")
     return Animation(
         item.text("name"),
@@ -256,7 +256,7 @@ def _read_track(
 ) -> GltfTrack:
     """Return the keys of a channel, checked and repaired."""
     item = samplers.items[index]
-    notes = item.notes
+    diagnostics = item.diagnostics
     interpolation = samplers.interpolation(index)
     times, is_ascending = samplers.key_times(index)
     values = _read_values(channel, target, samplers, index)
@@ -266,7 +266,7 @@ def _read_track(
         message = f"{values.size} numbers for {len(times)} keys of {target.width}"
         if is_cubic:
             message += ", with a tangent before and after each"
-        notes.fail("GLT011", channel.pointer_to("sampler"), message)
+        diagnostics.fail("GLT011", channel.pointer_to("sampler"), message)
     key_rows = values.reshape(len(times), -1, target.width)
     if target.path is TargetPath.ROTATION:
         _check_unit_length(key_rows[:, 1 if is_cubic else 0], channel, samplers, index)
@@ -276,10 +276,10 @@ def _read_track(
         times, key_rows = _sort_keys(times, key_rows, item, has_times=has_times)
     if is_cubic and len(times) == 1:
         message = "a cubic spline has two keys at least: its one key is held"
-        notes.warn("GLT107", item.pointer_to("interpolation"), message)
+        diagnostics.warn("GLT107", item.pointer_to("interpolation"), message)
     if times[0] < 0:
         message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
-        notes.warn("GLT107", item.pointer_to("input"), message)
+        diagnostics.warn("GLT107", item.pointer_to("input"), message)
     keys = key_rows[:, 1 if is_cubic else 0]
     return GltfTrack(
         target.node,
@@ -307,7 +307,7 @@ def _read_values(
     if accessor is None or not accessor.has_type(element_type, *component_types):
         type_text = "an unknown type" if accessor is None else accessor.element_type
         message = f"{target.path} cannot have values of {type_text} in these components"
-        item.notes.fail("GLT011", channel.pointer_to("sampler"), message)
+        item.diagnostics.fail("GLT011", channel.pointer_to("sampler"), message)
     # Non-finite rotations are detected by their length; slopes have none.
     is_cubic = samplers.interpolation(index) is SamplerInterpolation.CUBIC
     must_be_finite = is_cubic or target.path is not TargetPath.ROTATION
@@ -332,9 +332,11 @@ def _sort_keys(
     ``has_times`` says whether the file has the times; otherwise they are all 0.
     """
     time_order = np.argsort(times, kind="stable")
-    notes, pointer = item.notes, item.pointer_to("input")
+    diagnostics, pointer = item.diagnostics, item.pointer_to("input")
     if (np.diff(times) < 0).any():
-        notes.warn("GLT107", pointer, "times are out of order: the keys are sorted")
+        diagnostics.warn(
+            "GLT107", pointer, "times are out of order: the keys are sorted"
+        )
     times, key_rows = times[time_order], key_rows[time_order]
     duplicate_indices = np.flatnonzero(np.diff(times) == 0)
     if len(duplicate_indices):
@@ -343,9 +345,9 @@ def _sort_keys(
             if (key_rows[duplicate_indices] != next_rows).any():
                 duplicate_time = float(times[duplicate_indices[0]])
                 message = f"two keys at {duplicate_time:.6g} s have different values"
-                notes.fail("GLT012", pointer, message)
+                diagnostics.fail("GLT012", pointer, message)
             message = f"{len(duplicate_indices)} equal keys with the time of another "
-            notes.warn("GLT107", pointer, f"{message}are removed")
+            diagnostics.warn("GLT107", pointer, f"{message}are removed")
         unique_indices = np.setdiff1d(np.arange(len(times)), duplicate_indices + 1)
         times, key_rows = times[unique_indices], key_rows[unique_indices]
     return times, key_rows
@@ -367,8 +369,8 @@ def _check_unit_length(
         min_square, max_square = float(squares.min()), float(squares.max())
     if min_square <= 0.0:
         message = "a rotation key has length 0"
-        samplers.items[index].notes.fail("GLT010", accessor.pointer, message)
+        samplers.items[index].diagnostics.fail("GLT010", accessor.pointer, message)
     if max(1.0 - min_square, max_square - 1.0) > 2 * tolerance:
         message = f"rotation keys have lengths from {min_square**0.5:.6g} to "
         message += f"{max_square**0.5:.6g}: they are normalised"
-        channel.notes.warn("GLT103", channel.pointer_to("sampler"), message)
+        channel.diagnostics.warn("GLT103", channel.pointer_to("sampler"), message)

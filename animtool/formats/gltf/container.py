@@ -13,7 +13,7 @@ from urllib.parse import unquote_to_bytes, urlsplit
 from animtool.core.errors import FormatError, excerpt
 from animtool.core.files.reading import not_a_file_reason, read_input
 from animtool.core.record import dataclass
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 from animtool.formats.gltf.json_items import JsonItem
 
 GLB_MAGIC = b"glTF"
@@ -31,109 +31,117 @@ _DATA_URI_PATTERN = re.compile(
 class Container:
     """The JSON of a file, and the binary chunk of a GLB."""
 
-    root: JsonItem
+    json_root: JsonItem
     binary: memoryview | None  # None for a .gltf, and a GLB without it
     is_glb: bool
     byte_count: int  # size of the file [byte]
     may_have_extensions: bool  # whether any object may have extensions
 
 
-def read_container(path: Path, notes: FileNotices) -> Container:
+def read_container(path: Path, diagnostics: FileDiagnostics) -> Container:
     """Return the contents of a .gltf or .glb, told apart by suffix and first bytes."""
     content = memoryview(read_input(path))
     is_glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == GLB_MAGIC
     if not is_glb:
         text, binary = bytes(content), None
     else:
-        json_chunk, binary = _read_chunks(content, notes)
+        json_chunk, binary = _read_chunks(content, diagnostics)
         text = bytes(json_chunk)
-    root = _parse_json(text, notes)
+    json_root = _parse_json(text, diagnostics)
     # Escaped names are not found, but no supported extension has one.
     may_have_extensions = b'"extensions"' in text
-    return Container(root, binary, is_glb, len(content), may_have_extensions)
+    return Container(json_root, binary, is_glb, len(content), may_have_extensions)
 
 
-def _fail_malformed(notes: FileNotices, offset: int, message: str) -> NoReturn:
-    notes.fail("GLT002", f"byte {offset}", message, "export the file again")
+def _fail_malformed(
+    diagnostics: FileDiagnostics, offset: int, message: str
+) -> NoReturn:
+    diagnostics.fail("GLT002", f"byte {offset}", message, "export the file again")
 
 
-def _check_header(content: memoryview, notes: FileNotices) -> int:
+def _check_header(content: memoryview, diagnostics: FileDiagnostics) -> int:
     """Check the header of a GLB; return its stated length."""
     if len(content) < HEADER_BYTES:
         message = f"the file has {len(content)} bytes; a GLB has at least 12"
-        _fail_malformed(notes, len(content), message)
+        _fail_malformed(diagnostics, len(content), message)
     if bytes(content[:4]) != GLB_MAGIC:
         is_json = bytes(content[:1]) == b"{"
         hint = "rename it to .gltf" if is_json else "export the file again"
-        notes.fail("GLT002", "byte 0", "a GLB starts with the letters glTF", hint)
+        diagnostics.fail("GLT002", "byte 0", "a GLB starts with the letters glTF", hint)
     version, length = struct.unpack_from("<II", content, 4)
     if version != 2:
         message = f"version {version} of GLB is not supported, only 2"
-        notes.fail("GLT003", "byte 4", message, "export glTF 2.0")
+        diagnostics.fail("GLT003", "byte 4", message, "export glTF 2.0")
     if length < HEADER_BYTES + CHUNK_HEADER_BYTES:
         message = f"the length {length} is shorter than the header and one chunk"
-        _fail_malformed(notes, 8, message)
+        _fail_malformed(diagnostics, 8, message)
     if length > len(content):
         message = f"the header states {length} bytes, but the file has {len(content)}"
-        _fail_malformed(notes, 8, message)
+        _fail_malformed(diagnostics, 8, message)
     if length < len(content):
         message = f"{len(content) - length} bytes after the end are ignored"
-        notes.warn("GLT101", f"byte {length}", message)
+        diagnostics.warn("GLT101", f"byte {length}", message)
     return int(length)
 
 
 def _read_chunks(
-    content: memoryview, notes: FileNotices
+    content: memoryview, diagnostics: FileDiagnostics
 ) -> tuple[memoryview, memoryview | None]:
     """Return JSON and binary chunk of a GLB."""
-    length = _check_header(content, notes)
+    length = _check_header(content, diagnostics)
     chunks: dict[int, memoryview] = {}
     offset = HEADER_BYTES
     while offset < length:
         if offset + CHUNK_HEADER_BYTES > length:
             end = length if length == len(content) else offset
-            _fail_malformed(notes, end, "the file ends in the header of a chunk")
+            _fail_malformed(diagnostics, end, "the file ends in the header of a chunk")
         chunk_bytes, chunk_type = struct.unpack_from("<II", content, offset)
         if offset + CHUNK_HEADER_BYTES + chunk_bytes > length:
             _fail_malformed(
-                notes, offset, f"a chunk of {chunk_bytes} bytes ends after the file"
+                diagnostics,
+                offset,
+                f"a chunk of {chunk_bytes} bytes ends after the file",
             )
         if offset == HEADER_BYTES and (chunk_type != JSON_CHUNK or not chunk_bytes):
             problem = "empty" if chunk_type == JSON_CHUNK else "not the JSON"
-            _fail_malformed(notes, offset, f"the first chunk is {problem}")
+            _fail_malformed(diagnostics, offset, f"the first chunk is {problem}")
         if chunk_type in chunks:
-            _fail_malformed(notes, offset, "two chunks of a type that may occur once")
+            _fail_malformed(
+                diagnostics, offset, "two chunks of a type that may occur once"
+            )
         if chunk_bytes % 4:
             message = f"a chunk has {chunk_bytes} bytes, not a multiple of 4"
-            notes.warn("GLT101", f"byte {offset}", message)
+            diagnostics.warn("GLT101", f"byte {offset}", message)
         start = offset + CHUNK_HEADER_BYTES
         if (
             chunk_type == BIN_CHUNK
             and offset != HEADER_BYTES + CHUNK_HEADER_BYTES + len(chunks[JSON_CHUNK])
         ):
             message = "the binary chunk is not the second one: it is read all the same"
-            notes.warn("GLT101", f"byte {offset}", message)
+            diagnostics.warn("GLT101", f"byte {offset}", message)
         if chunk_type in {JSON_CHUNK, BIN_CHUNK}:
             chunks[chunk_type] = content[start : start + chunk_bytes]
         offset = start + chunk_bytes
     return chunks[JSON_CHUNK], chunks.get(BIN_CHUNK)
 
 
-def _parse_json(text: bytes, notes: FileNotices) -> JsonItem:
+def _parse_json(text: bytes, diagnostics: FileDiagnostics) -> JsonItem:
     """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
         message = f"the JSON has {len(text) / 1e6:.0f} MB; the limit is 200"
-        notes.fail("GLT013", "", message)
+        diagnostics.fail("GLT013", "", message)
     if text.startswith(_BOM):
-        notes.warn("GLT101", "", "a byte order mark before the JSON is ignored")
+        diagnostics.warn("GLT101", "", "a byte order mark before the JSON is ignored")
         text = text[len(_BOM) :]
     try:
         value = json.loads(text.decode("utf-8"), parse_constant=_refuse_constant)
     except (ValueError, RecursionError) as error:
-        notes.fail("GLT001", "", f"the JSON cannot be read: {_json_reason(error)}")
+        diagnostics.fail(
+            "GLT001", "", f"the JSON cannot be read: {_json_reason(error)}"
+        )
     if not isinstance(value, dict):
-        notes.fail("GLT001", "", "the JSON must be an object")
-    return JsonItem(value, "", notes)
+        diagnostics.fail("GLT001", "", "the JSON must be an object")
+    return JsonItem(value, "", diagnostics)
 
 
 def _json_reason(error: Exception) -> str:
@@ -158,8 +166,8 @@ class Buffers:
 
     def __init__(self, container: Container, folder: Path) -> None:
         self.container, self.folder = container, folder
-        self.notes = container.root.notes
-        self.items = container.root.children("buffers")
+        self.diagnostics = container.json_root.diagnostics
+        self.items = container.json_root.children("buffers")
         self._opened_buffers: dict[int, memoryview] = {}
 
     def __len__(self) -> int:
@@ -193,7 +201,7 @@ class Buffers:
             binary = self.container.binary
             if index or binary is None:
                 message = "the buffer has no uri, and no GLB chunk holds it"
-                self.notes.fail("GLT007", buffer.pointer, message)
+                self.diagnostics.fail("GLT007", buffer.pointer, message)
             content = binary
         elif uri.startswith("data:"):
             content = memoryview(_decode_data(uri, buffer))
@@ -203,10 +211,10 @@ class Buffers:
                 content = memoryview(read_input(path))
             except FormatError as error:
                 message = str(error.faults[0].message)
-                self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
+                self.diagnostics.fail("GLT007", buffer.pointer_to("uri"), message)
         if len(content) < length:
             message = f"byteLength is {length}, but there are {len(content)} bytes"
-            self.notes.fail("GLT007", buffer.pointer, message)
+            self.diagnostics.fail("GLT007", buffer.pointer, message)
         return content[:length]
 
     def _find_file(self, uri: str, buffer: JsonItem) -> Path:
@@ -215,7 +223,7 @@ class Buffers:
         reason = not_a_file_reason(path)
         if reason is not None:
             message = f"the file {uri!r} {reason}"
-            self.notes.fail("GLT007", buffer.pointer_to("uri"), message)
+            self.diagnostics.fail("GLT007", buffer.pointer_to("uri"), message)
         return path
 
     def _resolve_uri(self, uri: str, buffer: JsonItem) -> Path:
@@ -225,21 +233,27 @@ class Buffers:
             url = urlsplit(uri)
             name = unquote_to_bytes(url.path).decode("utf-8")
         except ValueError:
-            self.notes.fail("GLT007", pointer, f"{excerpt(uri)} is no URI")
+            self.diagnostics.fail("GLT007", pointer, f"{excerpt(uri)} is no URI")
         if url.scheme or url.netloc:
             message = f"{excerpt(uri)} is on another machine or uses another scheme"
             hint = "animtool downloads nothing: put the file next to the glTF"
-            self.notes.fail("GLT007", pointer, message, hint)
+            self.diagnostics.fail("GLT007", pointer, message, hint)
         if not name or "\0" in name or "\\" in name or url.query or url.fragment:
-            self.notes.fail("GLT007", pointer, f"{excerpt(uri)} does not name a file")
+            self.diagnostics.fail(
+                "GLT007", pointer, f"{excerpt(uri)} does not name a file"
+            )
         folder = self.folder.resolve()
         try:
             path = (folder / name).resolve()
         except (OSError, RuntimeError, ValueError):
-            self.notes.fail("GLT007", pointer, f"{excerpt(uri)} does not name a file")
+            self.diagnostics.fail(
+                "GLT007", pointer, f"{excerpt(uri)} does not name a file"
+            )
         if not path.is_relative_to(folder):
             message = f"{excerpt(uri)} leads outside the folder of the file"
-            self.notes.fail("GLT007", pointer, message, "put the file next to the glTF")
+            self.diagnostics.fail(
+                "GLT007", pointer, message, "put the file next to the glTF"
+            )
         return path
 
     def check_available(self, index: int) -> None:
@@ -251,14 +265,14 @@ class Buffers:
             if index == 0 and self.container.is_glb:
                 if binary is None:
                     message = "the buffer has no uri, and the GLB has no binary chunk"
-                    self.notes.fail("GLT007", buffer.pointer, message)
+                    self.diagnostics.fail("GLT007", buffer.pointer, message)
                 if len(binary) < length:
                     message = f"byteLength is {length}, but the chunk has {len(binary)}"
-                    self.notes.fail("GLT007", buffer.pointer, message)
+                    self.diagnostics.fail("GLT007", buffer.pointer, message)
                 if len(binary) > length + 3:
                     message = f"{len(binary) - length} bytes after the buffer are "
                     message += "unused"
-                    self.notes.warn("GLT101", buffer.pointer, message)
+                    self.diagnostics.warn("GLT101", buffer.pointer, message)
         elif uri.startswith("data:"):
             self.buffer_bytes(index)
         else:
@@ -270,10 +284,12 @@ def _decode_data(uri: str, item: JsonItem) -> bytes:
     media_type, comma, text = uri.partition(",")
     pointer = item.pointer_to("uri")
     if not comma or not _DATA_URI_PATTERN.fullmatch(media_type):
-        item.notes.fail("GLT007", pointer, f"{excerpt(uri)} is not a data URI")
+        item.diagnostics.fail("GLT007", pointer, f"{excerpt(uri)} is not a data URI")
     if not media_type.endswith(";base64"):
         return unquote_to_bytes(text)
     try:
         return binascii.a2b_base64(unquote_to_bytes(text), strict_mode=True)
     except (binascii.Error, ValueError) as error:
-        item.notes.fail("GLT007", pointer, f"the data URI is not valid base64: {error}")
+        item.diagnostics.fail(
+            "GLT007", pointer, f"the data URI is not valid base64: {error}"
+        )

@@ -9,7 +9,7 @@ from animtool.core.errors import excerpt, value_excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import FileSkin, Node, find_root_nodes
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 from animtool.formats.gltf.accessors import Accessors
 from animtool.formats.gltf.animation_targets import POINTER_EXTENSION
 from animtool.formats.gltf.animations import Animation, read_animations
@@ -76,8 +76,8 @@ class Gltf:
     scenes: list[list[int]]  # root nodes of each scene
     default_scene: int  # index of the default scene; -1 if there is none
     accessors: Accessors  # accessors of the file
-    root: JsonItem  # the JSON
-    notes: FileNotices  # collects warnings and notes
+    json_root: JsonItem  # the JSON
+    diagnostics: FileDiagnostics  # collects warnings and notes
     ignored_contents: tuple[str, ...]  # labels of contents that are not read
 
 
@@ -85,19 +85,21 @@ class Gltf:
 def open_gltf(path: Path | str) -> Gltf:
     """Open a .gltf or .glb, and validate all numbers that affect motion."""
     path = Path(path)
-    notes = FileNotices(str(path))
-    container = read_container(path, notes)
-    root = container.root
-    _check_asset(root)
+    diagnostics = FileDiagnostics(str(path))
+    container = read_container(path, diagnostics)
+    json_root = container.json_root
+    _check_asset(json_root)
     _check_extensions(container, path)
-    unused_indices = find_unused_indices(root.values)
+    unused_indices = find_unused_indices(json_root.values)
     accessors = Accessors(container, path.parent, unused_indices)
-    nodes = read_nodes(root, _list_length(root, "meshes"), _list_length(root, "skins"))
-    scenes, default_scene = read_scenes(root, nodes)
-    meshes = read_meshes(root, accessors)
-    skins = read_skins(root, accessors, len(nodes))
-    _check_weights(nodes, meshes, notes)
-    animations = read_animations(root, accessors, nodes, meshes)
+    nodes = read_nodes(
+        json_root, _list_length(json_root, "meshes"), _list_length(json_root, "skins")
+    )
+    scenes, default_scene = read_scenes(json_root, nodes)
+    meshes = read_meshes(json_root, accessors)
+    skins = read_skins(json_root, accessors, len(nodes))
+    _check_weights(nodes, meshes, diagnostics)
+    animations = read_animations(json_root, accessors, nodes, meshes)
     gltf = Gltf(
         path,
         nodes,
@@ -107,85 +109,89 @@ def open_gltf(path: Path | str) -> Gltf:
         scenes,
         default_scene,
         accessors,
-        root,
-        notes,
+        json_root,
+        diagnostics,
         _find_ignored_contents(container),
     )
     _check_geometry(gltf)
     return gltf
 
 
-def _list_length(root: JsonItem, key: str) -> int:
-    items: Any = root.values.get(key, [])
+def _list_length(json_root: JsonItem, key: str) -> int:
+    items: Any = json_root.values.get(key, [])
     return len(items) if isinstance(items, list) else 0
 
 
-def _check_asset(root: JsonItem) -> None:
-    notes, asset = root.notes, root.required_child("asset")
+def _check_asset(json_root: JsonItem) -> None:
+    diagnostics, asset = json_root.diagnostics, json_root.required_child("asset")
     version = asset.text("version")
     if version is None:
         asset.fail_missing("version")
     if version.split(".")[0] != "2":
         message = f"glTF {excerpt(version)} is not supported, only 2"
-        notes.fail("GLT003", asset.pointer_to("version"), message, "export glTF 2.0")
+        diagnostics.fail(
+            "GLT003", asset.pointer_to("version"), message, "export glTF 2.0"
+        )
     min_version = asset.text("minVersion")
     if min_version is not None and min_version != "2.0":
         message = f"the file needs glTF {excerpt(min_version)}; 2.0 is supported"
-        notes.fail("GLT003", asset.pointer_to("minVersion"), message)
+        diagnostics.fail("GLT003", asset.pointer_to("minVersion"), message)
 
 
 def _check_extensions(container: Container, path: Path) -> None:
     """Raise for unsupported required extensions that affect motion."""
-    root, notes = container.root, container.root.notes
-    used_names, required_names = _check_extension_lists(root)
+    json_root, diagnostics = container.json_root, container.json_root.diagnostics
+    used_names, required_names = _check_extension_lists(json_root)
     for i, name in enumerate(required_names):
-        pointer = f"{root.pointer_to('extensionsRequired')}/{i}"
+        pointer = f"{json_root.pointer_to('extensionsRequired')}/{i}"
         if not isinstance(name, str):
-            notes.fail("GLT005", pointer, "the name of an extension must be text")
+            diagnostics.fail("GLT005", pointer, "the name of an extension must be text")
         if _can_read_without(name):
             continue
         hint = "export the file without it"
         if name in PACKED_EXTENSIONS:
             hint = f"unpack it with {UNPACK_COMMAND.format(path.name)}"
         message = f"the file needs the extension {name}, which is not supported"
-        notes.fail("GLT004", pointer, message, hint)
-    used_extensions = _used_extensions(root) if container.may_have_extensions else {}
+        diagnostics.fail("GLT004", pointer, message, hint)
+    used_extensions = (
+        _used_extensions(json_root) if container.may_have_extensions else {}
+    )
     for name, pointer in used_extensions.items():
         if name not in used_names:
             effect = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
             message = f"the extension {excerpt(name)} is not declared{effect}"
-            notes.warn("GLT106", pointer, message)
+            diagnostics.warn("GLT106", pointer, message)
 
 
-def _check_extension_lists(root: JsonItem) -> tuple[list[Any], list[Any]]:
+def _check_extension_lists(json_root: JsonItem) -> tuple[list[Any], list[Any]]:
     """Return extensionsUsed and extensionsRequired; warn of contradictions."""
-    keys, notes = ("extensionsUsed", "extensionsRequired"), root.notes
-    used_names, required_names = (root.read_list(key) for key in keys)
+    keys, diagnostics = ("extensionsUsed", "extensionsRequired"), json_root.diagnostics
+    used_names, required_names = (json_root.read_list(key) for key in keys)
     for key, names in zip(keys, (used_names, required_names), strict=True):
         for i, name in enumerate(names):
             if name in names[:i]:
                 message = f"{excerpt(str(name))} is listed twice"
-                notes.warn("GLT106", f"{root.pointer_to(key)}/{i}", message)
+                diagnostics.warn("GLT106", f"{json_root.pointer_to(key)}/{i}", message)
     for i, name in enumerate(used_names):
-        pointer = f"{root.pointer_to('extensionsUsed')}/{i}"
+        pointer = f"{json_root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
             message = f"{value_excerpt(name)} is not an extension name: ignored"
-            notes.warn("GLT106", pointer, message)
+            diagnostics.warn("GLT106", pointer, message)
         elif name in REQUIRED_EXTENSIONS and name not in required_names:
-            notes.warn("GLT106", pointer, f"{name} is used, but not required")
+            diagnostics.warn("GLT106", pointer, f"{name} is used, but not required")
     for i, name in enumerate(required_names):
         if isinstance(name, str) and name not in used_names:
             message = f"{excerpt(name)} is required, but not listed as used"
-            pointer = f"{root.pointer_to('extensionsRequired')}/{i}"
-            notes.warn("GLT106", pointer, message)
+            pointer = f"{json_root.pointer_to('extensionsRequired')}/{i}"
+            diagnostics.warn("GLT106", pointer, message)
     return used_names, required_names
 
 
 def _find_ignored_contents(container: Container) -> tuple[str, ...]:
     """Return labels of contents and extensions that are not read."""
-    root = container.root
-    labels = [key for key in _IGNORED_LISTS if root.values.get(key)]
-    names = _used_extensions(root) if container.may_have_extensions else {}
+    json_root = container.json_root
+    labels = [key for key in _IGNORED_LISTS if json_root.values.get(key)]
+    names = _used_extensions(json_root) if container.may_have_extensions else {}
     if "KHR_lights_punctual" in names:
         labels.append("lights")
     return (*labels, *(name for name in names if not _can_read_without(name)))
@@ -197,10 +203,10 @@ def _can_read_without(extension: str) -> bool:
     return is_known or extension.startswith(APPEARANCE_PREFIXES)
 
 
-def _used_extensions(root: JsonItem) -> dict[str, str]:
+def _used_extensions(json_root: JsonItem) -> dict[str, str]:
     """Return used extensions, each with the pointer to its first use."""
     first_uses: dict[str, str] = {}
-    pending: list[tuple[Any, str]] = [(root.values, "")]
+    pending: list[tuple[Any, str]] = [(json_root.values, "")]
     while pending:
         value, pointer = pending.pop()
         if isinstance(value, dict):
@@ -223,14 +229,14 @@ def _used_extensions(root: JsonItem) -> dict[str, str]:
 
 
 def _check_weights(
-    nodes: tuple[Node, ...], meshes: tuple[GltfMesh, ...], notes: FileNotices
+    nodes: tuple[Node, ...], meshes: tuple[GltfMesh, ...], diagnostics: FileDiagnostics
 ) -> None:
     for i, node in enumerate(nodes):
         if node.weights is not None:
             target_count = meshes[node.mesh].target_count
             if len(node.weights) != target_count:
                 message = f"{len(node.weights)} weights for {target_count} targets"
-                notes.fail("GLT011", f"/nodes/{i}/weights", message)
+                diagnostics.fail("GLT011", f"/nodes/{i}/weights", message)
 
 
 def _check_geometry(gltf: Gltf) -> None:
@@ -250,10 +256,10 @@ def _check_geometry(gltf: Gltf) -> None:
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):
             message = f"node {skin.skeleton} is not above the joints: ignored"
-            gltf.notes.warn("GLT106", f"{skin.location}/skeleton", message)
+            gltf.diagnostics.warn("GLT106", f"{skin.location}/skeleton", message)
         if len({roots[joint] for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain is read"
-            gltf.notes.warn("GLT106", f"{skin.location}/joints", message)
+            gltf.diagnostics.warn("GLT106", f"{skin.location}/joints", message)
 
 
 def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
@@ -268,7 +274,7 @@ def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
             continue
         if any(roots[i] in s and not skin_roots[node.skin] & s for s in scenes):
             message = "a scene shows the mesh without the joints of its skin"
-            gltf.notes.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
+            gltf.diagnostics.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
 
 
 def _require_mesh_data(accessors: Accessors, primitive: Primitive) -> None:
@@ -292,7 +298,7 @@ def _is_ancestor(gltf: Gltf, ancestor: int, node: int) -> bool:
 
 def humanoid_bones(gltf: Gltf) -> list[tuple[str, int]]:
     """Return the humanoid bones of a VRM 1.0 or 0.x, each with its node."""
-    extensions = gltf.root.values.get("extensions")
+    extensions = gltf.json_root.values.get("extensions")
     if not isinstance(extensions, dict):
         return []
     named_bones: list[tuple[str, Any]] = []

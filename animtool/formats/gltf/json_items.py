@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 from animtool.core.errors import value_excerpt
 from animtool.core.record import dataclass
 from animtool.formats import FLOAT32_MAX
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 
 def escape_pointer(key: str) -> str:
@@ -43,7 +43,7 @@ class JsonItem:
 
     values: dict[str, Any]
     pointer: str  # empty for the document root
-    notes: FileNotices
+    diagnostics: FileDiagnostics
 
     def pointer_to(self, key: str) -> str:
         """Return the pointer of a property."""
@@ -51,12 +51,12 @@ class JsonItem:
 
     def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
         """Raise a `FormatError` about a property."""
-        self.notes.fail(code, self.pointer_to(key), message)
+        self.diagnostics.fail(code, self.pointer_to(key), message)
 
     def fail_missing(self, key: str) -> NoReturn:
         """Raise a `FormatError` about a missing property."""
         message = f"the required property {key!r} is missing"
-        self.notes.fail("GLT005", self.pointer or "/", message)
+        self.diagnostics.fail("GLT005", self.pointer or "/", message)
 
     def integer(self, key: str) -> int | None:
         """Return an integer property, also if written as 1.0; None if missing."""
@@ -102,7 +102,7 @@ class JsonItem:
                 self.fail(key, f"entry {i} is {value_excerpt(value)}, not an integer")
             if not 0 <= value < count:
                 message = f"{noun} {int(value)} does not exist"
-                self.notes.fail("GLT006", f"{self.pointer_to(key)}/{i}", message)
+                self.diagnostics.fail("GLT006", f"{self.pointer_to(key)}/{i}", message)
         return [int(value) for value in values]
 
     def floats(self, key: str, length: int | None) -> list[float] | None:
@@ -117,14 +117,16 @@ class JsonItem:
                 self.fail(key, f"{value_excerpt(value)} is not a number")
             if not abs(value) <= FLOAT32_MAX:
                 message = f"{value} is outside the range of a float32"
-                self.notes.fail("GLT010", f"{self.pointer_to(key)}/{i}", message)
+                self.diagnostics.fail("GLT010", f"{self.pointer_to(key)}/{i}", message)
         return [float(value) for value in values]
 
     def text(self, key: str) -> str | None:
         """Return a string property; None if missing."""
         value = self.values.get(key)
         if value is None and key == "name" and key in self.values:
-            self.notes.warn("GLT106", self.pointer_to(key), "a name of null is ignored")
+            self.diagnostics.warn(
+                "GLT106", self.pointer_to(key), "a name of null is ignored"
+            )
         elif not isinstance(value, str) and key in self.values:
             self.fail(key, f"{key} must be text, not {value_excerpt(value)}")
         return value
@@ -144,7 +146,9 @@ class JsonItem:
         if not isinstance(value, list):
             self.fail(key, f"{key} must be a list, not {value_excerpt(value)}")
         if not value:
-            self.notes.warn("GLT106", self.pointer_to(key), "an empty list is ignored")
+            self.diagnostics.warn(
+                "GLT106", self.pointer_to(key), "an empty list is ignored"
+            )
         return value
 
     def child(self, key: str) -> JsonItem | None:
@@ -154,7 +158,7 @@ class JsonItem:
         value = self.values[key]
         if not isinstance(value, dict):
             self.fail(key, f"{key} must be an object, not {value_excerpt(value)}")
-        return JsonItem(value, self.pointer_to(key), self.notes)
+        return JsonItem(value, self.pointer_to(key), self.diagnostics)
 
     def required_child(self, key: str) -> JsonItem:
         """Return a child object; raise if missing."""
@@ -167,8 +171,8 @@ class JsonItem:
             pointer = f"{self.pointer_to(key)}/{i}"
             if not isinstance(value, dict):
                 message = f"must be an object, not {value_excerpt(value)}"
-                self.notes.fail("GLT005", pointer, message)
-            items.append(JsonItem(value, pointer, self.notes))
+                self.diagnostics.fail("GLT005", pointer, message)
+            items.append(JsonItem(value, pointer, self.diagnostics))
         return items
 
     def extension(self, name: str) -> JsonItem | None:
@@ -178,4 +182,4 @@ class JsonItem:
         if not isinstance(extension, dict):
             return None
         pointer = f"{self.pointer}/extensions/{escape_pointer(name)}"
-        return JsonItem(extension, pointer, self.notes)
+        return JsonItem(extension, pointer, self.diagnostics)

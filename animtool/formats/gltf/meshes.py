@@ -10,7 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import FileSkin
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 from animtool.formats.gltf.accessors import (
     COMPONENT_TYPES,
     FLOAT_COMPONENT,
@@ -34,7 +34,7 @@ BOUNDS_TOLERANCE = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class MorphTarget:
-    """A morph target: accessor indices of its offsets; -1 for none."""
+    """A morph target: accessor indices of its offsets; -1 if there is none."""
 
     position: int
     normal: int
@@ -44,7 +44,7 @@ class MorphTarget:
 class Primitive:
     """A primitive of a mesh: accessor indices of its vertices."""
 
-    position: int  # -1 without points
+    position: int  # -1 if there are no points
     normal: int
     joints: tuple[int, ...]
     weights: tuple[int, ...]
@@ -77,9 +77,9 @@ class GltfMesh:
         return max((len(primitive.targets) for primitive in self.primitives), default=0)
 
 
-def read_meshes(root: JsonItem, accessors: Accessors) -> tuple[GltfMesh, ...]:
+def read_meshes(json_root: JsonItem, accessors: Accessors) -> tuple[GltfMesh, ...]:
     """Return the meshes of a file with primitives and morph targets, checked."""
-    return tuple(_read_mesh(item, accessors) for item in root.children("meshes"))
+    return tuple(_read_mesh(item, accessors) for item in json_root.children("meshes"))
 
 
 def _read_mesh(item: JsonItem, accessors: Accessors) -> GltfMesh:
@@ -92,12 +92,12 @@ def _read_mesh(item: JsonItem, accessors: Accessors) -> GltfMesh:
         if count != target_counts[0]:
             message = f"{count} targets, but the first primitive has {target_counts[0]}"
             pointer = f"{item.pointer}/primitives/{i}/targets"
-            item.notes.fail("GLT011", pointer, message)
+            item.diagnostics.fail("GLT011", pointer, message)
     target_count = max(target_counts, default=0)
     weights = item.floats("weights", None)
     if weights is not None and len(weights) != target_count:
         message = f"{len(weights)} weights for {target_count} targets"
-        item.notes.fail("GLT011", item.pointer_to("weights"), message)
+        item.diagnostics.fail("GLT011", item.pointer_to("weights"), message)
     extras = item.values.get("extras")
     stated_names = extras.get("targetNames") if isinstance(extras, dict) else None
     is_valid = isinstance(stated_names, list) and len(stated_names) == target_count
@@ -126,7 +126,7 @@ def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     mode = item.integer("mode")
     if mode is not None and not 0 <= mode <= FAN:
         message = f"mode {mode} is unknown: the primitive has no faces"
-        item.notes.warn("GLT106", item.pointer_to("mode"), message)
+        item.diagnostics.warn("GLT106", item.pointer_to("mode"), message)
     index_accessor = item.index("indices", len(accessors.by_index), "accessor")
     if index_accessor >= 0:
         _check_indices(item, index_accessor, vertex_count, accessors)
@@ -150,7 +150,7 @@ def _read_attributes(attributes: JsonItem, accessor_count: int) -> dict[str, int
             accessor_indices[name] = attributes.index(name, accessor_count, "accessor")
         elif not is_known_attribute(name):
             message = f"unknown attribute {name!r}: ignored"
-            attributes.notes.warn("GLT106", attributes.pointer_to(name), message)
+            attributes.diagnostics.warn("GLT106", attributes.pointer_to(name), message)
     return accessor_indices
 
 
@@ -164,7 +164,7 @@ def _skin_set_indices(
     )
     if joints != weights:
         message = f"JOINTS {joints} and WEIGHTS {weights} do not match"
-        attributes.notes.fail("GLT011", attributes.pointer, message)
+        attributes.diagnostics.fail("GLT011", attributes.pointer, message)
     return joints
 
 
@@ -183,7 +183,7 @@ def _read_morph_target(
         accessor = _require_accessor(target, name, index, accessors, *types)
         if accessor.count != vertex_count:
             message = f"{accessor.count} rows for {vertex_count} vertices"
-            target.notes.fail("GLT011", target.pointer_to(name), message)
+            target.diagnostics.fail("GLT011", target.pointer_to(name), message)
         if accessors.has_data(index):
             check_bounds(accessor.item, accessors.numbers(index))
     return MorphTarget(
@@ -195,11 +195,11 @@ def _check_morph_attributes(target: JsonItem) -> None:
     """Warn about attributes of a morph target that are not read."""
     if not target.values:
         message = "a morph target without attributes moves nothing"
-        target.notes.warn("GLT106", target.pointer, message)
+        target.diagnostics.warn("GLT106", target.pointer, message)
     for name in target.values:
         if not is_known_attribute(name):
             message = f"unknown attribute {name!r}: ignored"
-            target.notes.warn("GLT106", target.pointer_to(name), message)
+            target.diagnostics.warn("GLT106", target.pointer_to(name), message)
 
 
 def _require_accessor(
@@ -217,13 +217,15 @@ def _require_accessor(
         if accessor is not None:
             type_text = f"{accessor.element_type} of "
             type_text += f"{COMPONENT_TYPES[accessor.component_type].name}"
-        item.notes.fail("GLT011", item.pointer_to(key), f"{key} cannot be {type_text}")
+        item.diagnostics.fail(
+            "GLT011", item.pointer_to(key), f"{key} cannot be {type_text}"
+        )
     is_integer = accessor.component_type != FLOAT_COMPONENT
     is_quantized = component_types is QUANTIZED_TYPES and is_integer
-    declared_extensions = accessors.container.root.values.get("extensionsUsed", ())
+    declared_extensions = accessors.container.json_root.values.get("extensionsUsed", ())
     if is_quantized and QUANTIZATION not in declared_extensions:
         message = f"{key} are integers, and {QUANTIZATION} is not declared"
-        item.notes.warn("GLT106", item.pointer_to(key), message)
+        item.diagnostics.warn("GLT106", item.pointer_to(key), message)
     if accessors.has_data(index):
         accessors.numbers(index)
     return accessor
@@ -246,13 +248,13 @@ def _check_vertices(
         ):
             message = f"{name} are integers that are not normalized: "
             message += "divided by their sum"
-            attributes.notes.warn("GLT104", attributes.pointer_to(name), message)
+            attributes.diagnostics.warn("GLT104", attributes.pointer_to(name), message)
         if vertex_count < 0:
             vertex_count = accessor.count
         elif accessor.count != vertex_count:
             message = f"{name} has {accessor.count} rows, but others have "
             message += f"{vertex_count}"
-            attributes.notes.fail("GLT011", attributes.pointer_to(name), message)
+            attributes.diagnostics.fail("GLT011", attributes.pointer_to(name), message)
         if not accessors.has_data(index):
             continue
         if name == "POSITION":
@@ -260,7 +262,7 @@ def _check_vertices(
             check_bounds(accessor.item, accessors.numbers(index), required_by=pointer)
         if name.startswith("WEIGHTS_") and (accessors.numbers(index) < 0).any():
             message = "a weight of a vertex is negative"
-            attributes.notes.fail("GLT010", attributes.pointer_to(name), message)
+            attributes.diagnostics.fail("GLT010", attributes.pointer_to(name), message)
     return vertex_count
 
 
@@ -274,7 +276,7 @@ def _check_indices(
     max_index = int(accessors.numbers(index).max())
     if vertex_count >= 0 and max_index >= vertex_count:
         message = f"a face refers to vertex {max_index} of {vertex_count}"
-        item.notes.fail("GLT006", item.pointer_to("indices"), message)
+        item.diagnostics.fail("GLT006", item.pointer_to("indices"), message)
 
 
 def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
@@ -286,7 +288,7 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
     if stated_bounds == [None, None]:
         if required_by:
             message = "min and max are missing: computed from the data"
-            item.notes.warn("GLT102", required_by, message)
+            item.diagnostics.warn("GLT102", required_by, message)
         return
     actual_bounds = values.min(axis=0), values.max(axis=0)
     bounds = zip(("min", "max"), stated_bounds, actual_bounds, strict=True)
@@ -294,7 +296,7 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
         max_value = float(np.abs(bound.astype(np.float64)).max())
         tolerance = BOUNDS_TOLERANCE * max(1.0, max_value)
         if stated_bound is None and key not in item.values:
-            item.notes.warn("GLT102", item.pointer_to(key), f"{key} is missing")
+            item.diagnostics.warn("GLT102", item.pointer_to(key), f"{key} is missing")
         if not isinstance(stated_bound, list) or len(stated_bound) != len(bound):
             continue
         numbers = zip(stated_bound, bound.tolist(), strict=True)
@@ -302,15 +304,17 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
             if is_number(stated_value) and not abs(stated_value - value) <= tolerance:
                 message = f"{key} is {stated_value!r}, but the data has "
                 message += f"{value:.9g}: using the data"
-                item.notes.warn("GLT102", f"{item.pointer_to(key)}/{i}", message)
+                item.diagnostics.warn("GLT102", f"{item.pointer_to(key)}/{i}", message)
                 break
 
 
 def read_skins(
-    root: JsonItem, accessors: Accessors, node_count: int
+    json_root: JsonItem, accessors: Accessors, node_count: int
 ) -> tuple[FileSkin, ...]:
     """Return the skins of a file with joints and inverse bind matrices, checked."""
-    return tuple(_read_skin(i, accessors, node_count) for i in root.children("skins"))
+    return tuple(
+        _read_skin(i, accessors, node_count) for i in json_root.children("skins")
+    )
 
 
 def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSkin:
@@ -318,9 +322,13 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSki
         item.fail_missing("joints")
     joints = item.indices("joints", node_count, "node")
     if not joints:
-        item.notes.fail("GLT011", item.pointer_to("joints"), "a skin without joints")
+        item.diagnostics.fail(
+            "GLT011", item.pointer_to("joints"), "a skin without joints"
+        )
     if len(set(joints)) < len(joints):
-        item.notes.warn("GLT106", item.pointer_to("joints"), "a joint is listed twice")
+        item.diagnostics.warn(
+            "GLT106", item.pointer_to("joints"), "a joint is listed twice"
+        )
     matrices = np.tile(np.eye(4), (len(joints), 1, 1))
     key = "inverseBindMatrices"
     accessor_index = item.index(key, len(accessors.by_index), "accessor")
@@ -331,7 +339,7 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSki
         accessors.warn_about_stride(accessor_index, pointer)
         if accessor.count < len(joints):
             message = f"{accessor.count} matrices for {len(joints)} joints"
-            item.notes.fail("GLT011", pointer, message)
+            item.diagnostics.fail("GLT011", pointer, message)
         columns = np.zeros((len(joints), 4, 4))
         if accessors.has_data(accessor_index):
             columns = accessors.floats(accessor_index)[: len(joints)].reshape(-1, 4, 4)
@@ -345,12 +353,12 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSki
             if column_error <= 1e-4:
                 message += ", but its last column is: they are stored by rows"
                 hint = "transpose all matrices: glTF stores columns"
-            item.notes.fail("GLT010", pointer, message, hint)
+            item.diagnostics.fail("GLT010", pointer, message, hint)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     skeleton = item.integer("skeleton")
     if skeleton is not None and not 0 <= skeleton < node_count:
         message = f"node {skeleton} does not exist: the hint is ignored"
-        item.notes.warn("GLT106", item.pointer_to("skeleton"), message)
+        item.diagnostics.warn("GLT106", item.pointer_to("skeleton"), message)
         skeleton = None
     skeleton = -1 if skeleton is None else skeleton
     name = item.text("name")
@@ -367,8 +375,8 @@ def read_skin_weights(
     index_sets = [accessors.numbers(a).astype(np.int64) for a in primitive.joints]
     indices = np.concatenate(index_sets, axis=1)
     weights = np.concatenate([accessors.floats(a) for a in primitive.weights], axis=1)
-    notes = accessors.notes
-    _check_duplicate_joints(primitive, indices, weights, notes)
+    diagnostics = accessors.diagnostics
+    _check_duplicate_joints(primitive, indices, weights, diagnostics)
     is_out_of_range = indices >= joint_count
     if is_out_of_range.any():
         has_weight = is_out_of_range & (weights > 0)
@@ -379,8 +387,8 @@ def read_skin_weights(
         message = f"joint {int(indices[is_out_of_range].max())} of a skin with "
         message += f"{joint_count}"
         if has_weight.any():
-            notes.fail("GLT006", pointer, message)
-        notes.warn("GLT106", pointer, f"{message}, without weight: ignored")
+            diagnostics.fail("GLT006", pointer, message)
+        diagnostics.warn("GLT106", pointer, f"{message}, without weight: ignored")
         indices[is_out_of_range] = 0
     weight_sums = weights.sum(axis=1)
     sum_errors = np.abs(weight_sums - 1.0)
@@ -389,19 +397,24 @@ def read_skin_weights(
     if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
         weight_sum = weight_sums[sum_errors.argmax()]
         message = f"weights of a vertex have the sum {weight_sum:.6g}: they are "
-        notes.warn("GLT104", pointer, f"{message}normalised")
+        diagnostics.warn("GLT104", pointer, f"{message}normalised")
     is_unweighted = weight_sums == 0.0
     if is_unweighted.any():
         if has_data:
             message = f"{int(is_unweighted.sum())} vertices have no weights"
-            notes.warn("GLT104", pointer, f"{message}: they follow the first joint")
+            diagnostics.warn(
+                "GLT104", pointer, f"{message}: they follow the first joint"
+            )
         weights[is_unweighted, 0], indices[is_unweighted, 0] = 1.0, 0
         weight_sums = np.where(is_unweighted, 1.0, weight_sums)
     return indices, weights / weight_sums[:, None]
 
 
 def _check_duplicate_joints(
-    primitive: Primitive, indices: IntArray, weights: FloatArray, notes: FileNotices
+    primitive: Primitive,
+    indices: IntArray,
+    weights: FloatArray,
+    diagnostics: FileDiagnostics,
 ) -> None:
     """Warn about joints listed twice for a vertex; their weights are added."""
     # Influences without weight get distinct numbers that no joint has.
@@ -411,7 +424,7 @@ def _check_duplicate_joints(
     if has_duplicate.any():
         message = f"{int(has_duplicate.sum())} vertices have two weights of one joint"
         pointer = f"{primitive.pointer}/attributes/JOINTS_0"
-        notes.warn("GLT104", pointer, f"{message}: they are added")
+        diagnostics.warn("GLT104", pointer, f"{message}: they are added")
 
 
 def build_triangles(

@@ -22,12 +22,14 @@ _TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
 _TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
 
 
-def read_nodes(root: JsonItem, mesh_count: int, skin_count: int) -> tuple[Node, ...]:
+def read_nodes(
+    json_root: JsonItem, mesh_count: int, skin_count: int
+) -> tuple[Node, ...]:
     """Return the nodes in file order, with parents and rest transforms."""
-    items = root.children("nodes")
+    items = json_root.children("nodes")
     if len(items) > MAX_NODES:
         message = f"{len(items)} nodes; the limit is {MAX_NODES}"
-        root.notes.fail("GLT013", "/nodes", message)
+        json_root.diagnostics.fail("GLT013", "/nodes", message)
     child_lists = [item.indices("children", len(items), "node") for item in items]
     parents = _parent_indices(items, child_lists)
     return tuple(
@@ -42,11 +44,11 @@ def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list
         for child_number, child in enumerate(children):
             if child == i:
                 message = "the node is its own child"
-                items[i].notes.fail("GLT009", items[i].pointer, message)
+                items[i].diagnostics.fail("GLT009", items[i].pointer, message)
             if parents[child] >= 0:
                 message = f"node {child} has two parents, {parents[child]} and {i}"
                 pointer = f"{items[i].pointer}/children/{child_number}"
-                items[i].notes.fail("GLT009", pointer, message)
+                items[i].diagnostics.fail("GLT009", pointer, message)
             parents[child] = i
     is_acyclic = [False] * len(items)
     for i in range(len(items)):
@@ -55,7 +57,7 @@ def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list
         while ancestor >= 0 and not is_acyclic[ancestor]:
             if ancestor in visited_nodes:
                 item, message = items[ancestor], "the node is its own ancestor"
-                item.notes.fail("GLT009", item.pointer, message)
+                item.diagnostics.fail("GLT009", item.pointer, message)
             visited_nodes[ancestor] = None
             ancestor = parents[ancestor]
         for node in visited_nodes:
@@ -73,7 +75,7 @@ def _read_node(
         for key, is_stated in (("skin", skin >= 0), ("weights", weights is not None)):
             if is_stated:
                 message = f"{key} of a node without a mesh is ignored"
-                item.notes.warn("GLT106", item.pointer_to(key), message)
+                item.diagnostics.warn("GLT106", item.pointer_to(key), message)
         skin, weights = -1, None
     translation, rotation, scale, has_matrix = _read_transform(item)
     visibility = item.extension(VISIBILITY)
@@ -103,7 +105,7 @@ def _read_transform(item: JsonItem) -> tuple[Vector, Quaternion, Vector, bool]:
         for (key, _), component in zip(_TRS_PROPERTIES, components, strict=True):
             if component is not None:
                 message = f"{key} next to a matrix is ignored"
-                item.notes.warn("GLT106", item.pointer_to(key), message)
+                item.diagnostics.warn("GLT106", item.pointer_to(key), message)
         return (*_decompose_matrix(np.array(matrix), item), True)
     translation, rotation, scale = (
         default if component is None else component
@@ -112,10 +114,10 @@ def _read_transform(item: JsonItem) -> tuple[Vector, Quaternion, Vector, bool]:
     length = math.hypot(*rotation)
     if length == 0.0:
         message = "a rotation has length 0"
-        item.notes.fail("GLT010", item.pointer_to("rotation"), message)
+        item.diagnostics.fail("GLT010", item.pointer_to("rotation"), message)
     if abs(length - 1.0) > UNIT_TOLERANCE:
         message = f"the rotation has length {length:.6g}: it is normalised"
-        item.notes.warn("GLT103", item.pointer_to("rotation"), message)
+        item.diagnostics.warn("GLT103", item.pointer_to("rotation"), message)
     x, y, z = translation
     a, b, c, w = (value / length for value in rotation)
     u, v, s = scale
@@ -127,42 +129,44 @@ def _decompose_matrix(
 ) -> tuple[Vector, Quaternion, Vector]:
     """Return translation, rotation and scale of a matrix; shear is dropped."""
     matrix = columns.reshape(4, 4).T
-    notes, pointer = item.notes, item.pointer_to("matrix")
+    diagnostics, pointer = item.diagnostics, item.pointer_to("matrix")
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR_TOLERANCE:
-        notes.fail("GLT010", pointer, "the last row of the matrix is not 0 0 0 1")
+        diagnostics.fail("GLT010", pointer, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
     magnitude = float(np.abs(linear).max())
     if not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12:
-        notes.fail("GLT010", pointer, "the matrix is singular")
+        diagnostics.fail("GLT010", pointer, "the matrix is singular")
     unit_rotation, scale = so3.split_scale(linear[None] / magnitude)
     rotation, lengths = unit_rotation[0], scale[0] * magnitude
     rigid_linear = so3.to_matrix(rotation) * lengths
     shear = float(np.abs(rigid_linear - linear).max()) / magnitude
     if shear > SHEAR_TOLERANCE:
         message = f"the shear of the matrix, {shear:.3g} of its size, is ignored"
-        notes.warn("GLT103", pointer, message)
+        diagnostics.warn("GLT103", pointer, message)
     x, y, z = matrix[:3, 3].tolist()
     a, b, c, w = rotation.tolist()
     u, v, s = lengths.tolist()
     return (x, y, z), (a, b, c, w), (u, v, s)
 
 
-def read_scenes(root: JsonItem, nodes: tuple[Node, ...]) -> tuple[list[list[int]], int]:
-    """Return the root nodes of each scene, and the default scene, -1 without one."""
+def read_scenes(
+    json_root: JsonItem, nodes: tuple[Node, ...]
+) -> tuple[list[list[int]], int]:
+    """Return the root nodes of each scene, and the default scene or -1."""
     scenes = []
-    for item in root.children("scenes"):
+    for item in json_root.children("scenes"):
         scene_nodes = item.indices("nodes", len(nodes), "node")
         for position, node in enumerate(scene_nodes):
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it appears once in the tree"
-                item.notes.warn(
+                item.diagnostics.warn(
                     "GLT106", f"{item.pointer_to('nodes')}/{position}", message
                 )
             if node in scene_nodes[:position]:
                 message = f"node {node} is listed twice; it is in the tree once"
-                item.notes.warn(
+                item.diagnostics.warn(
                     "GLT106", f"{item.pointer_to('nodes')}/{position}", message
                 )
         scenes.append(scene_nodes)
-    default_scene = root.index("scene", len(scenes), "scene")
+    default_scene = json_root.index("scene", len(scenes), "scene")
     return scenes, (0 if default_scene < 0 and scenes else default_scene)

@@ -81,7 +81,7 @@ def read_gltf(
         TAKE_MESSAGES, str(path), names, take, range(len(names)), default_index
     )
     animation = None if index < 0 else gltf.animations[index]
-    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices, *take_notices]
+    notices = [*gltf.diagnostics.notices, *notices, *gltf_rig.notices, *take_notices]
     notices += _ignored_contents_notice(gltf, animation)
     sampler = build_sampler(gltf, gltf_rig, animation)
     frames = find_frame_range(animation, rate, str(path), sampler.values_per_frame)
@@ -110,7 +110,7 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
     gltf = open_gltf(path)
     character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
     gltf_rig = build_rig(gltf, character, path.stem)
-    notices = [*gltf.notes.notices, *notices, *gltf_rig.notices]
+    notices = [*gltf.diagnostics.notices, *notices, *gltf_rig.notices]
     notices += scale_notice(gltf_rig, str(path))
     return replace(gltf_rig.rig, notices=tuple(notices))
 

@@ -45,7 +45,7 @@ class SamplerKeys:
     out_slopes: FloatArray | None = None  # slopes out of the keys ``(K, W)`` [1/s]
 
     def accessor_rows(self, *, is_scalar: bool = False) -> FloatArray:
-        """Return the rows of the output accessor; with ``is_scalar``, one number a row.
+        """Return the rows of an output accessor, of one number each if ``is_scalar``.
 
         Cubic splines have three rows a key: incoming slope, value and outgoing slope.
         """

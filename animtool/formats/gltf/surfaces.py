@@ -109,7 +109,7 @@ def shared_vertices(gltf: Gltf, node: int) -> list[SharedVertices]:
 
 
 def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | None:
-    """Return the mesh of a node; None without faces."""
+    """Return the mesh of a node; None if it has no faces."""
     vertex_sets = shared_vertices(gltf, node)
     first_vertices = {v.primitive.vertex_key: v.first_vertex for v in vertex_sets}
     faces = []
@@ -189,7 +189,9 @@ def _warn_of_equal_binds(gltf: Gltf, skin_index: int, blended_count: int) -> Non
     message += "follows" if blended_count == 1 else "follow"
     message += " several of them: the mesh tears"
     hint = "export it again with the inverse bind matrices of the bind pose"
-    gltf.notes.warn("GLT119", f"{skin.location}/inverseBindMatrices", message, hint)
+    gltf.diagnostics.warn(
+        "GLT119", f"{skin.location}/inverseBindMatrices", message, hint
+    )
 
 
 def _pad_columns(values: FloatArray | IntArray, width: int) -> FloatArray:

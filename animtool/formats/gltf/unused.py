@@ -30,10 +30,10 @@ class UnusedIndices:
     buffers: frozenset[int]
 
 
-def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
+def find_unused_indices(json_root: dict[str, Any]) -> UnusedIndices:
     """Return indices that only ignored contents refer to."""
-    used_accessors, unread_accessors = {*_other_accessors(root)}, set[int]()
-    for primitive in _all_primitives(root):
+    used_accessors, unread_accessors = {*_other_accessors(json_root)}, set[int]()
+    for primitive in _all_primitives(json_root):
         attribute_lists = _objects([primitive.get("attributes")])
         for attributes in (*attribute_lists, *_objects(primitive.get("targets"))):
             for name, index in attributes.items():
@@ -41,15 +41,15 @@ def find_unused_indices(root: dict[str, Any]) -> UnusedIndices:
                     is_read = is_supported_attribute(str(name))
                     (used_accessors if is_read else unread_accessors).add(int(index))
     accessors = frozenset(unread_accessors - used_accessors)
-    images = _objects(root.get("images"))
+    images = _objects(json_root.get("images"))
     unused_views = {_valid_index(i["bufferView"]) for i in images if "bufferView" in i}
     used_views = set[int]()
-    for i, accessor in enumerate(_objects(root.get("accessors"))):
+    for i, accessor in enumerate(_objects(json_root.get("accessors"))):
         view_set = unused_views if i in accessors else used_views
         view_set.update(_accessor_views(accessor))
     views = frozenset(unused_views - used_views)
     used_buffers, unused_buffers = {-1}, set[int]()
-    for i, view in enumerate(_objects(root.get("bufferViews"))):
+    for i, view in enumerate(_objects(json_root.get("bufferViews"))):
         buffer = _valid_index(view.get("buffer"))
         (unused_buffers if i in views else used_buffers).add(buffer)
     return UnusedIndices(accessors, views, frozenset(unused_buffers - used_buffers))
@@ -84,17 +84,17 @@ def _valid_index(value: Any) -> int:
     return int(value) if is_number(value) and abs(value) < 2**53 else -1
 
 
-def _all_primitives(root: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for mesh in _objects(root.get("meshes")):
+def _all_primitives(json_root: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for mesh in _objects(json_root.get("meshes")):
         yield from _objects(mesh.get("primitives"))
 
 
-def _other_accessors(root: dict[str, Any]) -> Iterator[int]:
-    for primitive in _all_primitives(root):
+def _other_accessors(json_root: dict[str, Any]) -> Iterator[int]:
+    for primitive in _all_primitives(json_root):
         yield _valid_index(primitive.get("indices"))
-    for skin in _objects(root.get("skins")):
+    for skin in _objects(json_root.get("skins")):
         yield _valid_index(skin.get("inverseBindMatrices"))
-    for animation in _objects(root.get("animations")):
+    for animation in _objects(json_root.get("animations")):
         for sampler in _objects(animation.get("samplers")):
             yield _valid_index(sampler.get("input"))
             yield _valid_index(sampler.get("output"))

@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, excerpt, listed
 from animtool.formats.mjcf.equality import JointEqualities
 from animtool.formats.mjcf.reduced import MIN_MASS, ReducedModel, named_element_label
-from animtool.formats.robots.notes import MAX_VALUE, XmlNotes
+from animtool.formats.robots.diagnostics import MAX_VALUE, XmlDiagnostics
 from animtool.formats.robots.parts import (
     IDENTITY_ROTATION,
     Link,
@@ -57,13 +57,13 @@ HIDDEN_GROUP = 3
 _SHAPE_KINDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
 
 
-def compile_model(reduced_model: ReducedModel, notes: XmlNotes) -> Any:
+def compile_model(reduced_model: ReducedModel, diagnostics: XmlDiagnostics) -> Any:
     """Return the MuJoCo model of a reduced MJCF; raise its errors at source lines."""
     try:
         import mujoco
     except ImportError as error:
         message = "MJCF is read by MuJoCo's own parser, which is not installed"
-        fault = Fault("MJC005", message, str(notes.path), (), _INSTALL_COMMAND)
+        fault = Fault("MJC005", message, str(diagnostics.path), (), _INSTALL_COMMAND)
         raise OptionError(fault) from error
     # MuJoCo prints and logs warnings about simulation; they are suppressed.
     warning_handler = mujoco.get_mju_user_warning()
@@ -71,15 +71,15 @@ def compile_model(reduced_model: ReducedModel, notes: XmlNotes) -> Any:
     try:
         return mujoco.MjModel.from_xml_string(reduced_model.text)
     except (ValueError, RuntimeError, mujoco.FatalError) as error:
-        _record_mujoco_error(str(error), reduced_model, notes)
+        _record_mujoco_error(str(error), reduced_model, diagnostics)
     finally:
         mujoco.set_mju_user_warning(warning_handler)
-    notes.raise_faults()
+    diagnostics.raise_faults()
     raise AssertionError
 
 
 def _record_mujoco_error(
-    text: str, reduced_model: ReducedModel, notes: XmlNotes
+    text: str, reduced_model: ReducedModel, diagnostics: XmlDiagnostics
 ) -> None:
     """Record a MuJoCo error at its line in the source file."""
     match = _ERROR_LINE_PATTERN.search(text)
@@ -102,14 +102,16 @@ def _record_mujoco_error(
         ),
         (f"MuJoCo refuses it: {message}", None),
     )
-    notes.add("MJC008", element, message, hint, location=location)
+    diagnostics.add("MJC008", element, message, hint, location=location)
 
 
-def build_robot(model: Any, reduced_model: ReducedModel, notes: XmlNotes) -> Robot:
+def build_robot(
+    model: Any, reduced_model: ReducedModel, diagnostics: XmlDiagnostics
+) -> Robot:
     """Return the robot of a compiled model; record contents that a rig cannot store."""
-    _check_sizes(model, notes)
-    equalities = JointEqualities.from_model(model, notes)
-    notes.raise_faults()
+    _check_sizes(model, diagnostics)
+    equalities = JointEqualities.from_model(model, diagnostics)
+    diagnostics.raise_faults()
     links = [
         _build_link(model, b, equalities, reduced_model) for b in range(1, model.nbody)
     ]
@@ -119,11 +121,11 @@ def build_robot(model: Any, reduced_model: ReducedModel, notes: XmlNotes) -> Rob
             position = float_vector(model.site_pos[site])
             rotation = convert_quaternion(model.site_quat[site])
             links[body - 1].sites.append((name, position, rotation))
-    _record_differences(model, reduced_model, equalities, notes)
+    _record_differences(model, reduced_model, equalities, diagnostics)
     return Robot(str(model.names[: model.names.index(b"\0")], "utf-8"), links)
 
 
-def _check_sizes(model: Any, notes: XmlNotes) -> None:
+def _check_sizes(model: Any, diagnostics: XmlDiagnostics) -> None:
     """Record numbers of a compiled model that are out of range."""
     for name in ("body_pos", "body_quat", "jnt_pos", "jnt_axis", "qpos0", "geom_size",
                  "geom_pos", "site_pos"):  # fmt: skip
@@ -132,7 +134,7 @@ def _check_sizes(model: Any, notes: XmlNotes) -> None:
             message = f"the compiled model has {name} beyond {MAX_VALUE:g}, or not "
             message += "finite"
             hint = "lengths are in metres: look at positions, sizes and scales"
-            notes.add("MJC007", None, message, hint)
+            diagnostics.add("MJC007", None, message, hint)
             return
 
 
@@ -252,7 +254,7 @@ def _record_differences(
     model: Any,
     reduced_model: ReducedModel,
     equalities: JointEqualities,
-    notes: XmlNotes,
+    diagnostics: XmlDiagnostics,
 ) -> None:
     """Record differences between rig and model, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
@@ -262,7 +264,7 @@ def _record_differences(
             labels = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
             message = message.format(counted(len(joints), "joint"))
             message += f": {listed(labels, MAX_LISTED_JOINTS)}"
-            notes.add(code, None, message, hint, severity=Severity.NOTE)
+            diagnostics.add(code, None, message, hint, severity=Severity.NOTE)
 
     scalar_joints = [
         j for j in range(model.njnt) if model.jnt_type[j] in {SLIDE, HINGE}
@@ -308,4 +310,4 @@ def _record_differences(
         bodies = sorted(reduced_model.bodies_of_unknown_mass)
         message = "masses computed from meshes are ignored: "
         message += listed([excerpt(name) for name in bodies], MAX_LISTED_JOINTS)
-        notes.add("MJC107", None, message, severity=Severity.NOTE)
+        diagnostics.add("MJC107", None, message, severity=Severity.NOTE)

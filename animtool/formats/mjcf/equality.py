@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.errors import cycle_text, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.diagnostics import XmlDiagnostics
 from animtool.rig.drivers import ANGLE, SLIDE, Driver
 from animtool.rig.expressions import parse_expression
 from animtool.rig.skeleton import Mimic
@@ -26,7 +26,7 @@ class JointEqualities:
     drivers: dict[int, Driver] = field(default_factory=dict)
 
     @staticmethod
-    def from_model(model: Any, notes: XmlNotes) -> JointEqualities:
+    def from_model(model: Any, diagnostics: XmlDiagnostics) -> JointEqualities:
         """Return the active equalities of a model; record unsupported ones."""
         # Leader and polynomial of each constrained joint.
         constraints: dict[int, tuple[int, list[float]]] = {}
@@ -34,7 +34,7 @@ class JointEqualities:
             if model.eq_type[constraint] != _JOINT_EQUALITY:
                 continue
             if not model.eq_active0[constraint]:
-                notes.record_ignored(["equality that is not active"])
+                diagnostics.record_ignored(["equality that is not active"])
                 continue
             follower = int(model.eq_obj1id[constraint])
             leader = int(model.eq_obj2id[constraint])
@@ -42,14 +42,14 @@ class JointEqualities:
             if follower in constraints:
                 message = f"joint {excerpt(name)} is tied to two others by equality"
                 hint = "keep the one that moves it"
-                notes.add("MJC010", None, message, hint, joint=name)
+                diagnostics.add("MJC010", None, message, hint, joint=name)
                 continue
             constraints[follower] = (
                 leader,
                 np.array(model.eq_data[constraint][:5]).tolist(),
             )
         equalities = JointEqualities()
-        if not _has_cycles(model, constraints, notes):
+        if not _has_cycles(model, constraints, diagnostics):
             for follower in constraints:
                 equalities._add(model, follower, constraints)
         return equalities
@@ -121,7 +121,9 @@ def _polynomial_driver(
 
 
 def _has_cycles(
-    model: Any, constraints: dict[int, tuple[int, list[float]]], notes: XmlNotes
+    model: Any,
+    constraints: dict[int, tuple[int, list[float]]],
+    diagnostics: XmlDiagnostics,
 ) -> bool:
     """Record cycles of constrained joints; return whether there are any."""
     checked_joints: set[int] = set()
@@ -134,7 +136,7 @@ def _has_cycles(
                 names = [model.joint(j).name for j in path[path.index(joint) :]]
                 message = f"joints are tied in a ring: {cycle_text([*names, names[0]])}"
                 hint = "remove one of these equalities"
-                notes.add("MJC010", None, message, hint, joint=names[0])
+                diagnostics.add("MJC010", None, message, hint, joint=names[0])
                 has_cycles = True
                 break
             path.append(joint)

@@ -14,7 +14,7 @@ from animtool.core.files.signatures import expects_format
 from animtool.formats.mjcf.compiled import HINGE, build_robot, compile_model
 from animtool.formats.mjcf.reduced import reduce_model
 from animtool.formats.robots.build import RobotCodes, build_rig, zero_pose_stream
-from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.diagnostics import XmlDiagnostics
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import MAX_ELEMENTS, XmlCodes, XmlElement, read_xml
 from animtool.motion.take import TakeStream
@@ -44,19 +44,21 @@ def read_mjcf_rig(path: Path | str) -> Rig:
         path: A .xml or .mjcf file.
     """
     path = Path(path)
-    notes = XmlNotes(path, "MJC007")
-    root, folders = _read_model(path, notes)
-    reduced_model = reduce_model(root, folders, notes)
-    notes.raise_faults()
-    model = compile_model(reduced_model, notes)
-    _warn_of_range_unit(root, model, notes)
-    robot = build_robot(model, reduced_model, notes)
+    diagnostics = XmlDiagnostics(path, "MJC007")
+    root, folders = _read_model(path, diagnostics)
+    reduced_model = reduce_model(root, folders, diagnostics)
+    diagnostics.raise_faults()
+    model = compile_model(reduced_model, diagnostics)
+    _warn_of_range_unit(root, model, diagnostics)
+    robot = build_robot(model, reduced_model, diagnostics)
     if not robot.links:
-        notes.add("MJC004", root, "the model has no body", "bodies are what moves")
-        notes.raise_faults()
+        diagnostics.add(
+            "MJC004", root, "the model has no body", "bodies are what moves"
+        )
+        diagnostics.raise_faults()
     if not root.attributes.get("model"):
         robot.name = path.stem
-    return build_rig(robot, notes, _ROBOT_CODES)
+    return build_rig(robot, diagnostics, _ROBOT_CODES)
 
 
 def read_mjcf(path: Path | str) -> TakeStream:
@@ -68,13 +70,15 @@ def read_mjcf(path: Path | str) -> TakeStream:
     return zero_pose_stream(read_mjcf_rig(path), "MJCF")
 
 
-def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
+def _warn_of_range_unit(
+    root: XmlElement, model: Any, diagnostics: XmlDiagnostics
+) -> None:
     """Record hinges whose ranges look like radians in degrees, or the reverse (MJC110).
 
     Args:
         root: The file, with its includes.
         model: The compiled model, whose ranges are in radians.
-        notes: Notices of the file.
+        diagnostics: Collects the faults and warnings of the file.
     """
     angle_unit = "deg"
     for compiler in root.find_all("compiler"):
@@ -116,11 +120,13 @@ def _warn_of_range_unit(root: XmlElement, model: Any, notes: XmlNotes) -> None:
     hint += f', or write range="{lower * ratio:.4g} {upper * ratio:.4g}"'
     if likely_unit == "deg":
         hint = hint.replace(setting, 'angle="radian" of <compiler>')
-    notes.add("MJC110", element, message, hint, severity=Severity.WARNING)
+    diagnostics.add("MJC110", element, message, hint, severity=Severity.WARNING)
 
 
 @expects_format("MJC001", "an MJCF file")
-def _read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders]:
+def _read_model(
+    path: Path, diagnostics: XmlDiagnostics
+) -> tuple[XmlElement, PackageFolders]:
     """Return the root of a model with all includes replaced by their content."""
     root = read_xml(path, _XML_CODES)
     if root.tag != ROOT_TAG:
@@ -131,19 +137,21 @@ def _read_model(path: Path, notes: XmlNotes) -> tuple[XmlElement, PackageFolders
         }
         hint = hints.get(root.tag, f"the root element of MJCF is <{ROOT_TAG}>")
         message = f"no MJCF: its root element is <{root.tag[:60]}>"
-        notes.add("MJC004", root, message, hint)
-        notes.raise_faults()
+        diagnostics.add("MJC004", root, message, hint)
+        diagnostics.raise_faults()
     folders = PackageFolders.from_file(path, _XML_CODES)
-    _IncludeExpander(path, folders, notes).expand_below(root)
-    notes.raise_faults()
+    _IncludeExpander(path, folders, diagnostics).expand_below(root)
+    diagnostics.raise_faults()
     return root, folders
 
 
 class _IncludeExpander:
     """Replaces include elements with the content of their files."""
 
-    def __init__(self, path: Path, folders: PackageFolders, notes: XmlNotes) -> None:
-        self._folders, self._notes = folders, notes
+    def __init__(
+        self, path: Path, folders: PackageFolders, diagnostics: XmlDiagnostics
+    ) -> None:
+        self._folders, self._notes = folders, diagnostics
         self._included_files = {path.resolve()}
         self._element_count = 0
 

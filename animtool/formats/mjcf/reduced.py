@@ -10,7 +10,7 @@ from xml.sax.saxutils import quoteattr
 
 from animtool.core.errors import Severity, counted, excerpt
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import XmlNotes, element_label, to_number
+from animtool.formats.robots.diagnostics import XmlDiagnostics, element_label, to_number
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import XmlElement
 
@@ -72,12 +72,12 @@ class ReducedModel:
 
 
 def reduce_model(
-    root: XmlElement, packages: PackageFolders, notes: XmlNotes
+    root: XmlElement, packages: PackageFolders, diagnostics: XmlDiagnostics
 ) -> ReducedModel:
     """Return a model's moving parts; record omissions and faults."""
-    _check_files(root, packages, notes)
+    _check_files(root, packages, diagnostics)
     _name_bodies(root)
-    reduced_lines = _ReducedLines(_MeshDefaults(root), notes)
+    reduced_lines = _ReducedLines(_MeshDefaults(root), diagnostics)
     model = root.attributes.get("model")
     attribute = "" if model is None else f" model={quoteattr(model)}"
     reduced_lines.add_line(root, f"<mujoco{attribute}>")
@@ -88,7 +88,7 @@ def reduce_model(
     )
     for section in root.children:
         if section.tag in _SECTION_LABELS:
-            notes.record_ignored(filter(None, [_SECTION_LABELS[section.tag]]))
+            diagnostics.record_ignored(filter(None, [_SECTION_LABELS[section.tag]]))
         else:
             reduced_lines.add_element(section, section.tag, "", "")
     reduced_lines.add_line(root, "</mujoco>")
@@ -118,7 +118,7 @@ class _ReducedLines:
     """Lines of a reduced model, each with its source element."""
 
     mesh_defaults: _MeshDefaults
-    notes: XmlNotes
+    diagnostics: XmlDiagnostics
     lines: list[str] = field(default_factory=list)
     elements: list[XmlElement] = field(default_factory=list)
     bodies: list[str] = field(default_factory=list)
@@ -138,18 +138,18 @@ class _ReducedLines:
         supported_children = [
             child
             for child in element.children
-            if _is_supported(element, child, section, self.notes)
+            if _is_supported(element, child, section, self.diagnostics)
         ]
         is_body_geom = tag == "geom" and section == "worldbody"
         if is_body_geom and self.mesh_defaults.is_mesh(element, childclass):
-            self.notes.record_ignored(["geoms of meshes"])
+            self.diagnostics.record_ignored(["geoms of meshes"])
             self.bodies_of_unknown_mass.add(body)
             return
         if tag in {"body", "frame", "replicate"}:
             childclass = element.attributes.get("childclass", childclass)
         if tag == "body":
             body = element.attributes.get("name", "")
-        attributes = _attribute_text(element, section, self.notes)
+        attributes = _attribute_text(element, section, self.diagnostics)
         self.add_line(element, f"<{tag}{attributes}>", body)
         for child in supported_children:
             self.add_element(child, section or child.tag, childclass, body)
@@ -157,16 +157,16 @@ class _ReducedLines:
 
 
 def _is_supported(
-    parent: XmlElement, child: XmlElement, section: str, notes: XmlNotes
+    parent: XmlElement, child: XmlElement, section: str, diagnostics: XmlDiagnostics
 ) -> bool:
     """Return whether a child of a section is supported; record omitted children."""
     tag = child.tag
     match section:
         case "worldbody":
-            return _is_supported_in_body(parent, child, notes)
+            return _is_supported_in_body(parent, child, diagnostics)
         case "equality":
             if tag != "joint":
-                notes.record_ignored([f"equality of <{tag[:40]}>"])
+                diagnostics.record_ignored([f"equality of <{tag[:40]}>"])
             return tag == "joint"
         case "default":
             return tag in _DEFAULT_TAGS
@@ -174,24 +174,26 @@ def _is_supported(
 
 
 def _is_supported_in_body(
-    parent: XmlElement, child: XmlElement, notes: XmlNotes
+    parent: XmlElement, child: XmlElement, diagnostics: XmlDiagnostics
 ) -> bool:
     """Return whether a child of a body is supported; record omitted children."""
     tag, label = child.tag, _BODY_CONTENT_LABELS.get(child.tag)
     if tag in _GENERATOR_TAGS:
         message = f"<{tag}> makes bodies from other parts, which is not read"
         hint = "compile the model, and save it by mujoco.mj_saveLastXML"
-        notes.add("MJC009", child, message, hint)
+        diagnostics.add("MJC009", child, message, hint)
         return False
     if parent.tag == "worldbody" and tag in {"geom", "site"}:
         label = "geoms and sites of the world"
     if label is not None:
-        notes.record_ignored([label])
+        diagnostics.record_ignored([label])
         return False
     return parent.tag not in {"geom", "joint", "site", "inertial"}
 
 
-def _attribute_text(element: XmlElement, section: str, notes: XmlNotes) -> str:
+def _attribute_text(
+    element: XmlElement, section: str, diagnostics: XmlDiagnostics
+) -> str:
     """Return the supported attributes of an element as XML."""
     removed_names: tuple[str, ...] = _DROPPED_ATTRIBUTES.get(element.tag, ())
     if section == "default" and element.attributes.get("type") in _MESH_TYPES:
@@ -201,25 +203,29 @@ def _attribute_text(element: XmlElement, section: str, notes: XmlNotes) -> str:
         if name in removed_names:
             continue
         if name not in _TEXT_ATTRIBUTES:
-            _check_numbers(element, name, value, notes)
+            _check_numbers(element, name, value, diagnostics)
         if name == "range" and element.tag == "joint":
-            _check_range(element, value, notes)
+            _check_range(element, value, diagnostics)
         attribute_texts.append(f" {name}={quoteattr(value)}")
     return "".join(attribute_texts)
 
 
-def _check_numbers(element: XmlElement, name: str, value: str, notes: XmlNotes) -> None:
+def _check_numbers(
+    element: XmlElement, name: str, value: str, diagnostics: XmlDiagnostics
+) -> None:
     """Record numbers that are not finite, which MuJoCo would accept."""
     for text in value.split():
         number = to_number(text)
         if number is not None and not math.isfinite(number):
             message = f"{name} of <{element.tag}> is {excerpt(value)}: "
             message += f"{excerpt(text)} is not finite"
-            notes.add("MJC007", element, message, location=named_element_label(element))
+            diagnostics.add(
+                "MJC007", element, message, location=named_element_label(element)
+            )
             return
 
 
-def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
+def _check_range(element: XmlElement, value: str, diagnostics: XmlDiagnostics) -> None:
     """Record reversed ranges, which MuJoCo would drop without ``limited``."""
     limits = [to_number(text) for text in value.split()]
     lower, upper = (*limits, None, None)[:2]
@@ -228,13 +234,13 @@ def _check_range(element: XmlElement, value: str, notes: XmlNotes) -> None:
     if element.attributes.get("limited") != "false":
         message = f"range {excerpt(value)} is reversed: {lower:g} is above {upper:g}"
         hint = f'write range="{upper:g} {lower:g}" if they are swapped'
-        notes.add(
+        diagnostics.add(
             "MJC011", element, message, hint, location=named_element_label(element)
         )
 
 
 def named_element_label(element: XmlElement) -> str | None:
-    """Return the label of a named element for messages; None without a name."""
+    """Return the label of a named element for messages; None if it has no name."""
     name = element.attributes.get("name")
     return None if name is None else element_label(element.tag, name)
 
@@ -278,13 +284,15 @@ class _MeshDefaults:
 
 
 def _is_mesh(geom: XmlElement, is_mesh_by_default: bool) -> bool:
-    """Return whether a geom is a mesh; without a type, its defaults decide."""
+    """Return whether a geom is a mesh; its defaults decide if it states no type."""
     if geom.attributes.get("type") in _MESH_TYPES or "mesh" in geom.attributes:
         return True
     return is_mesh_by_default and "type" not in geom.attributes
 
 
-def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) -> None:
+def _check_files(
+    root: XmlElement, packages: PackageFolders, diagnostics: XmlDiagnostics
+) -> None:
     """Record file names outside the project; no file is opened."""
     folders = {
         name: value
@@ -304,11 +312,11 @@ def _check_files(root: XmlElement, packages: PackageFolders, notes: XmlNotes) ->
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
             location = named_element_label(element)
-            notes.add("MJC016", element, message, hint, location=location)
+            diagnostics.add("MJC016", element, message, hint, location=location)
     if missing_count:
         message = f"{counted(missing_count, 'file')} of its assets not found"
         hint = "motion needs none of them"
-        notes.add("MJC103", None, message, hint, severity=Severity.NOTE)
+        diagnostics.add("MJC103", None, message, hint, severity=Severity.NOTE)
 
 
 def _file_attributes(root: XmlElement) -> Iterator[tuple[XmlElement, str]]:

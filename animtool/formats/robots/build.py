@@ -18,7 +18,7 @@ from animtool.core.errors import Severity, counted, listed
 from animtool.core.quantities import CONTROL_CHARACTERS, length_text
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.diagnostics import XmlDiagnostics
 from animtool.formats.robots.parts import ORIGIN, Robot, RobotJoint
 from animtool.formats.robots.solids import build_capsule, build_mass
 from animtool.formats.robots.triangles import merge_surfaces
@@ -64,12 +64,12 @@ def _replace_controls(name: str) -> str:
     return _CONTROL_PATTERN.sub("_", name)[:MAX_NAME_LENGTH]
 
 
-def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
+def build_rig(robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes) -> Rig:
     """Return a robot's rig: metres, radians, Z up, at rest at zero coordinates.
 
     The rig has the notices of ``notes``, to which contents that are not read are added.
     """
-    joint_names = _assign_names(robot, notes, codes)
+    joint_names = _assign_names(robot, diagnostics, codes)
     joints: list[Joint] = []
     attach_joints: list[int] = []
     colliders: list[Collider] = []
@@ -99,25 +99,25 @@ def build_rig(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> Rig:
         if link.mass is not None:
             masses.append(build_mass(joint_name, link.mass, link_offset))
     if largest_error:
-        _note_approximate_colliders(robot, notes, codes, largest_error)
+        _note_approximate_colliders(robot, diagnostics, codes, largest_error)
     meshes = _link_meshes(robot, joint_names, joints)
-    _warn_of_size(notes, joints)
-    if notes.ignored_labels:
-        message = f"not read: {listed(list(notes.ignored_labels), 20)}"
-        notes.add(codes.ignored_code, None, message, severity=Severity.NOTE)
+    _warn_of_size(diagnostics, joints)
+    if diagnostics.ignored_labels:
+        message = f"not read: {listed(list(diagnostics.ignored_labels), 20)}"
+        diagnostics.add(codes.ignored_code, None, message, severity=Severity.NOTE)
     return Rig(
-        _replace_controls(robot.name) or notes.path.stem,
+        _replace_controls(robot.name) or diagnostics.path.stem,
         tuple(joints),
         up=UpAxis.Z,
         meshes=meshes,
         colliders=tuple(colliders),
         masses=tuple(masses),
         radians_per_unit=1.0,
-        notices=tuple(notes.notices),
+        notices=tuple(diagnostics.notices),
     )
 
 
-def _warn_of_size(notes: XmlNotes, joints: list[Joint]) -> None:
+def _warn_of_size(diagnostics: XmlDiagnostics, joints: list[Joint]) -> None:
     """Warn about a size that suggests another unit than metres (RIG217)."""
     positions, _ = rest_pose_without_kernels(Rig("", tuple(joints)))
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
@@ -129,7 +129,7 @@ def _warn_of_size(notes: XmlNotes, joints: list[Joint]) -> None:
         if ROBOT_SIZES[0] <= size * unit.meters <= ROBOT_SIZES[1]:
             hint = f"if they are in {unit}, divide all lengths by {1 / unit.meters:g}: "
             hint += length_text(size * unit.meters)
-    notes.add("RIG217", None, message, hint, severity=Severity.WARNING)
+    diagnostics.add("RIG217", None, message, hint, severity=Severity.WARNING)
 
 
 def _link_meshes(
@@ -197,7 +197,9 @@ class _JointNames:
     by_file_name: dict[str, str]  # name of each joint, by its name in the file
 
 
-def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNames:
+def _assign_names(
+    robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes
+) -> _JointNames:
     """Return unique names of the rig's joints; record changed names."""
     used_names: set[str] = set()
     last_numbers: dict[str, int] = {}
@@ -252,12 +254,12 @@ def _assign_names(robot: Robot, notes: XmlNotes, codes: RobotCodes) -> _JointNam
         message = f"{counted(len(name_changes), 'name')} changed, as links and joints "
         message += "of a rig share their names: "
         message += listed(name_changes, MAX_LISTED_JOINTS)
-        notes.add(codes.renamed_code, None, message, severity=Severity.NOTE)
+        diagnostics.add(codes.renamed_code, None, message, severity=Severity.NOTE)
     return _JointNames(link_names, joint_names, merged_flags, sites, name_of_file_joint)
 
 
 def _note_approximate_colliders(
-    robot: Robot, notes: XmlNotes, codes: RobotCodes, largest_error: float
+    robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes, largest_error: float
 ) -> None:
     count = sum(
         s.kind in {"box", "cylinder"} for link in robot.links for s in link.solids
@@ -265,7 +267,7 @@ def _note_approximate_colliders(
     message = f"{counted(count, 'box or cylinder', 'boxes and cylinders')} collide as "
     message += f"capsules, whose surfaces are up to {length_text(largest_error)} off"
     hint = "colliders of a rig are capsules; a rig file over this one may have others"
-    notes.add(codes.approximate_code, None, message, hint, severity=Severity.NOTE)
+    diagnostics.add(codes.approximate_code, None, message, hint, severity=Severity.NOTE)
 
 
 def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:

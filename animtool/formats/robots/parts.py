@@ -21,7 +21,7 @@ IDENTITY_ROTATION: Quaternion = (0.0, 0.0, 0.0, 1.0)
 class RobotJoint:
     """A joint of the rig, which represents all or part of a joint of the file."""
 
-    name: str  # name of the joint in the file; empty without one
+    name: str  # name of the joint in the file; empty if it has none
     type: JointType  # joint type
     translation: Vector = ORIGIN  # position in the frame of the previous joint [m]
     # Rotation in the frame of the previous joint.

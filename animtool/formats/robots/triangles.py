@@ -30,15 +30,15 @@ def triangulate_shape(solid: SimpleShape) -> Triangles:
     (24, 12, [0.5, 1.0, 1.5])
     """
     if solid.kind == "box":
-        shape = _box_faces(np.array(solid.size))
+        surface = _box_faces(np.array(solid.size))
     elif solid.kind == "cylinder":
         radius, length = solid.size
-        shape = _cylinder_faces(radius, length)
+        surface = _cylinder_faces(radius, length)
     else:
         length = solid.size[1] if solid.kind == "capsule" else 0.0
-        shape = _sphere_or_capsule(solid.size[0], length)
-    points = so3.rotate(np.array(solid.rotation), shape.points)
-    return Triangles(points + np.array(solid.position), shape.faces)
+        surface = _sphere_or_capsule(solid.size[0], length)
+    points = so3.rotate(np.array(solid.rotation), surface.points)
+    return Triangles(points + np.array(solid.position), surface.faces)
 
 
 def _box_faces(size: FloatArray) -> Triangles:

@@ -37,10 +37,10 @@ _NAMES_PATTERN = re.compile(rb"[\s\"]*frame\s?#[\s\"]*?([\t;,]| )", re.IGNORECAS
 class TrcHeader:
     """Values and marker names that the header lines of a TRC file state."""
 
-    data_rate: float | None  # DataRate [1/s]; None without a number
+    data_rate: float | None  # DataRate [1/s]; None if it is not a number
     unit: str | None  # Units; None if missing
-    frame_count: float | None  # NumFrames; None without a number
-    marker_count: float | None  # NumMarkers; None without a number
+    frame_count: float | None  # NumFrames; None if it is not a number
+    marker_count: float | None  # NumMarkers; None if it is not a number
     names: list[str]  # marker names in column order, empty for unnamed markers
     # Number of markers in the line of axes, X1 Y1 Z1; 0 if it is missing.
     axis_marker_count: int

@@ -40,7 +40,7 @@ def find_row_frames(
         columns: Frame# and Time [s] ``(R, 2)``.
         line_numbers: Line numbers of the rows ``(R,)``.
         time_decimals: Number of decimals of the times.
-        stated_rate: DataRate [1/s]; None without one.
+        stated_rate: DataRate [1/s]; None if there is none.
         fps: Requested rate; Time is then ignored.
         marker_count: Number of markers, to limit the memory of frames without a row.
     """

@@ -8,7 +8,7 @@ from enum import StrEnum
 
 from animtool.core.errors import Severity
 from animtool.core.record import dataclass
-from animtool.formats.robots.notes import XmlNotes, element_label
+from animtool.formats.robots.diagnostics import XmlDiagnostics, element_label
 from animtool.formats.robots.parts import ORIGIN, LinkMass, SimpleShape
 from animtool.formats.robots.xml import XmlCodes, XmlElement
 from animtool.rig.limits import RangeLimit
@@ -89,7 +89,7 @@ class UrdfFile:
 
 
 def add_joint_fault(
-    notes: XmlNotes,
+    diagnostics: XmlDiagnostics,
     code: str,
     joint: UrdfJoint,
     message: str,
@@ -100,7 +100,7 @@ def add_joint_fault(
     """Record a fault of a joint, at an element inside it or at the joint."""
     location, name = joint.location, joint.name
     element = element or joint.element
-    notes.add(
+    diagnostics.add(
         code, element, message, hint, location=location, joint=name, severity=severity
     )
 
@@ -109,17 +109,17 @@ def find_single_child(
     element: XmlElement,
     tag: str,
     location: str,
-    notes: XmlNotes,
+    diagnostics: XmlDiagnostics,
     *,
     is_required: bool = False,
 ) -> XmlElement | None:
-    """Return the only child with a tag; None without one, a fault if required."""
+    """Return the only child with a tag, or None; record a fault if it is required."""
     elements = element.find_all(tag)
     if any(child.attributes != elements[0].attributes for child in elements):
         message = f"<{tag}> is given {len(elements)} times with different values"
-        notes.add("URD006", elements[1], message, "keep one", location=location)
+        diagnostics.add("URD006", elements[1], message, "keep one", location=location)
     if not elements and is_required:
-        notes.add("URD006", element, f"<{tag}> is missing", location=location)
+        diagnostics.add("URD006", element, f"<{tag}> is missing", location=location)
     return elements[0] if elements else None
 
 
@@ -127,7 +127,7 @@ def require_text(
     element: XmlElement,
     name: str,
     location: str | None,
-    notes: XmlNotes,
+    diagnostics: XmlDiagnostics,
     hint: str = "",
 ) -> str:
     """Return a required attribute; record a fault and return "" if it is missing."""
@@ -135,20 +135,20 @@ def require_text(
     if not text.strip():
         problem = "is empty" if name in element.attributes else "is missing"
         message = f"{name} of <{element.tag}> {problem}"
-        notes.add("URD006", element, message, hint or None, location=location)
+        diagnostics.add("URD006", element, message, hint or None, location=location)
         return ""
     return text
 
 
 def read_pose(
-    element: XmlElement, location: str, notes: XmlNotes
+    element: XmlElement, location: str, diagnostics: XmlDiagnostics
 ) -> tuple[Vector, Quaternion]:
-    """Return position [m] and rotation of an element's origin; identity without one."""
-    origin = find_single_child(element, "origin", location, notes)
+    """Return position [m] and rotation of an element's origin, by default identity."""
+    origin = find_single_child(element, "origin", location, diagnostics)
     if origin is None:
         return ORIGIN, (0.0, 0.0, 0.0, 1.0)
-    x, y, z = notes.read_numbers(origin, "xyz", 3, ORIGIN, location)
-    roll, pitch, yaw = notes.read_numbers(origin, "rpy", 3, ORIGIN, location)
+    x, y, z = diagnostics.read_numbers(origin, "xyz", 3, ORIGIN, location)
+    roll, pitch, yaw = diagnostics.read_numbers(origin, "rpy", 3, ORIGIN, location)
     return (x, y, z), rotation_from_rpy(roll, pitch, yaw)
 
 

@@ -12,7 +12,12 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Severity, counted, excerpt
 from animtool.core.files.signatures import expects_format
 from animtool.core.names import name_hint
-from animtool.formats.robots.notes import MAX_VALUE, XmlNotes, element_label, to_number
+from animtool.formats.robots.diagnostics import (
+    MAX_VALUE,
+    XmlDiagnostics,
+    element_label,
+    to_number,
+)
 from animtool.formats.robots.parts import LinkMass, SimpleShape, float_vector
 from animtool.formats.robots.solids import find_mass_problem
 from animtool.formats.robots.xml import XmlElement, read_xml
@@ -62,28 +67,30 @@ _SHAPE_ATTRIBUTES: dict[str, tuple[tuple[str, int], ...]] = {
 
 
 @expects_format("URD001", "a URDF file")
-def read_file(path: Path, notes: XmlNotes) -> UrdfFile:
-    """Return the links and joints of a URDF; record faults in ``notes``."""
+def read_file(path: Path, diagnostics: XmlDiagnostics) -> UrdfFile:
+    """Return the links and joints of a URDF; record faults in ``diagnostics``."""
     root = read_xml(path, XML_CODES)
-    _check_root(root, notes)
-    notes.raise_faults()
+    _check_root(root, diagnostics)
+    diagnostics.raise_faults()
     links: dict[str, UrdfLink] = {}
     joints: dict[str, UrdfJoint] = {}
     for element in root.children:
         if element.tag == "link":
-            _read_link(element, links, notes)
+            _read_link(element, links, diagnostics)
         elif element.tag == "joint":
-            _read_joint(element, joints, notes)
-    if not links and not notes.faults:
+            _read_joint(element, joints, diagnostics)
+    if not links and not diagnostics.faults:
         message = "the robot has no link"
-        notes.add("URD006", root, message, "a robot is links, and joints between them")
-    _warn_about_degrees(root, notes)
-    notes.record_ignored(_ignored_labels(root))
+        diagnostics.add(
+            "URD006", root, message, "a robot is links, and joints between them"
+        )
+    _warn_about_degrees(root, diagnostics)
+    diagnostics.record_ignored(_ignored_labels(root))
     name = root.attributes.get("name", "")
     return UrdfFile(name, links, joints, *_actuated_joints(root))
 
 
-def _check_root(root: XmlElement, notes: XmlNotes) -> None:
+def _check_root(root: XmlElement, diagnostics: XmlDiagnostics) -> None:
     """Record a fault if the root is not <robot>, or the file is xacro to expand."""
     for element in root.walk():
         macros = [f"<{element.tag}>"] if element.tag.startswith("xacro:") else []
@@ -94,7 +101,7 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
             message = (
                 f"is a xacro file: it holds {macros[0]}, which a URDF is made from"
             )
-            notes.add("URD005", element, message, EXPAND_HINT)
+            diagnostics.add("URD005", element, message, EXPAND_HINT)
             return
     if root.tag == "robot":
         return
@@ -104,10 +111,12 @@ def _check_root(root: XmlElement, notes: XmlNotes) -> None:
         "COLLADA": "it is a mesh or a scene in COLLADA",
     }
     hint = hints.get(root.tag, "the root element of a URDF is <robot>")
-    notes.add("URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint)
+    diagnostics.add(
+        "URD004", root, f"no URDF: its root element is <{root.tag[:60]}>", hint
+    )
 
 
-def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
+def _warn_about_degrees(root: XmlElement, diagnostics: XmlDiagnostics) -> None:
     """Warn about joint angles that are likely degrees, and name the first of them."""
     angle_texts: list[tuple[XmlElement, str, str]] = []
     for joint in root.find_all("joint"):
@@ -134,7 +143,7 @@ def _warn_about_degrees(root: XmlElement, notes: XmlNotes) -> None:
     message = f"{counted(len(degree_angles), 'angle')} beyond two revolutions in "
     message += f"radians, such as {name} {value:g} of <{element.tag}>"
     hint = f"URDF has radians: {value:g} degrees are {math.radians(value):.6g}"
-    notes.add("URD111", element, message, hint, severity=Severity.WARNING)
+    diagnostics.add("URD111", element, message, hint, severity=Severity.WARNING)
 
 
 def _ignored_labels(root: XmlElement) -> Iterator[str]:
@@ -165,54 +174,62 @@ def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:
 
 
 def _read_joint(
-    element: XmlElement, joints: dict[str, UrdfJoint], notes: XmlNotes
+    element: XmlElement, joints: dict[str, UrdfJoint], diagnostics: XmlDiagnostics
 ) -> None:
     """Read a joint into the joints of the file; record faults."""
-    name = require_text(element, "name", None, notes)
+    name = require_text(element, "name", None, diagnostics)
     if not name:
         return
     location = element_label("joint", name)
     if name in joints:
         message = f"two joints are named {excerpt(name)}"
         hint = f"the first is in line {joints[name].element.line}"
-        notes.add("URD009", element, message, hint, joint=name)
+        diagnostics.add("URD009", element, message, hint, joint=name)
         return
     kind_names = ", ".join(UrdfJointKind)
-    type_name = require_text(element, "type", location, notes, f"allowed: {kind_names}")
+    type_name = require_text(
+        element, "type", location, diagnostics, f"allowed: {kind_names}"
+    )
     if type_name not in list(UrdfJointKind):
         if type_name:
             message = f"unknown joint type {excerpt(type_name)}"
             hint = name_hint(type_name, [kind.value for kind in UrdfJointKind])
-            notes.add("URD008", element, message, hint, location=location, joint=name)
+            diagnostics.add(
+                "URD008", element, message, hint, location=location, joint=name
+            )
         type_name = UrdfJointKind.FIXED
     link_names = []
     for tag in ("parent", "child"):
-        reference = find_single_child(element, tag, location, notes, is_required=True)
+        reference = find_single_child(
+            element, tag, location, diagnostics, is_required=True
+        )
         link = (
             ""
             if reference is None
-            else require_text(reference, "link", location, notes)
+            else require_text(reference, "link", location, diagnostics)
         )
         link_names.append(link)
     parent, child = link_names
-    kind, pose = UrdfJointKind(type_name), read_pose(element, location, notes)
+    kind, pose = UrdfJointKind(type_name), read_pose(element, location, diagnostics)
     joint = joints[name] = UrdfJoint(element, name, kind, parent, child, *pose)
     if joint.kind not in {UrdfJointKind.FIXED, UrdfJointKind.FLOATING}:
-        joint.axis = _read_axis(joint, notes)
-    joint.limits = _read_limits(joint, notes)
-    joint.mimic = _read_mimic(joint, notes)
+        joint.axis = _read_axis(joint, diagnostics)
+    joint.limits = _read_limits(joint, diagnostics)
+    joint.mimic = _read_mimic(joint, diagnostics)
 
 
-def _read_axis(joint: UrdfJoint, notes: XmlNotes) -> Vector:
-    element = find_single_child(joint.element, "axis", joint.location, notes)
+def _read_axis(joint: UrdfJoint, diagnostics: XmlDiagnostics) -> Vector:
+    element = find_single_child(joint.element, "axis", joint.location, diagnostics)
     if element is None:
         return (1.0, 0.0, 0.0)
-    values = notes.read_numbers(element, "xyz", 3, (1.0, 0.0, 0.0), joint.location)
+    values = diagnostics.read_numbers(
+        element, "xyz", 3, (1.0, 0.0, 0.0), joint.location
+    )
     if max(map(abs, values)) < MIN_AXIS_LENGTH:
         text = element.attributes.get("xyz", "")
         message = f"axis {excerpt(text)} has no length, and so no direction"
         hint = "write the axis of rotation or the direction of travel"
-        add_joint_fault(notes, "URD013", joint, message, hint, element)
+        add_joint_fault(diagnostics, "URD013", joint, message, hint, element)
         return (1.0, 0.0, 0.0)
     return _unit_direction(np.array(values))
 
@@ -223,9 +240,9 @@ def _unit_direction(values: FloatArray) -> Vector:
     return float_vector(direction / math.sqrt(float(direction @ direction)))
 
 
-def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
+def _read_limits(joint: UrdfJoint, diagnostics: XmlDiagnostics) -> RangeLimit | None:
     location = joint.location
-    element = find_single_child(joint.element, "limit", location, notes)
+    element = find_single_child(joint.element, "limit", location, diagnostics)
     if joint.kind not in _LIMITED_KINDS:
         return None
     if element is None:
@@ -233,62 +250,64 @@ def _read_limits(joint: UrdfJoint, notes: XmlNotes) -> RangeLimit | None:
         hint = 'write <limit lower="…" upper="…" effort="…" velocity="…"/>'
         if joint.kind is UrdfJointKind.REVOLUTE:
             hint += ", or make it continuous"
-        add_joint_fault(notes, "URD014", joint, message, hint)
+        add_joint_fault(diagnostics, "URD014", joint, message, hint)
         return None
     lower, upper = (
-        notes.read_numbers(element, name, 1, (0.0,), location, max_value=math.inf)[0]
+        diagnostics.read_numbers(
+            element, name, 1, (0.0,), location, max_value=math.inf
+        )[0]
         for name in _LIMIT_ATTRIBUTES
     )
     if lower > upper:
         message = f"its lower limit {lower:g} is above its upper limit {upper:g}"
         hint = f'write lower="{upper:g}" upper="{lower:g}" if they are swapped'
-        add_joint_fault(notes, "URD014", joint, message, hint, element)
+        add_joint_fault(diagnostics, "URD014", joint, message, hint, element)
         return None
     if lower == upper:
         message = f"its limits are both {lower:g}: it cannot move"
         warning = Severity.WARNING
-        add_joint_fault(notes, "URD104", joint, message, None, element, warning)
+        add_joint_fault(diagnostics, "URD104", joint, message, None, element, warning)
     if lower <= -MAX_VALUE and upper >= MAX_VALUE:
         return None
     return RangeLimit(max(lower, -MAX_VALUE), min(upper, MAX_VALUE))
 
 
-def _read_mimic(joint: UrdfJoint, notes: XmlNotes) -> Mimic | None:
+def _read_mimic(joint: UrdfJoint, diagnostics: XmlDiagnostics) -> Mimic | None:
     location = joint.location
-    element = find_single_child(joint.element, "mimic", location, notes)
+    element = find_single_child(joint.element, "mimic", location, diagnostics)
     if element is None:
         return None
     if joint.kind is UrdfJointKind.FIXED:
-        notes.record_ignored(["mimics of fixed joints"])
+        diagnostics.record_ignored(["mimics of fixed joints"])
         return None
-    leader = require_text(element, "joint", location, notes)
-    gain = notes.read_number(element, "multiplier", 1.0, location)
-    offset = notes.read_number(element, "offset", 0.0, location)
+    leader = require_text(element, "joint", location, diagnostics)
+    gain = diagnostics.read_number(element, "multiplier", 1.0, location)
+    offset = diagnostics.read_number(element, "offset", 0.0, location)
     if joint.kind not in SCALAR_KINDS:
         message = f"is {joint.kind}, and mimics {excerpt(leader)}"
         hint = "revolute, continuous and prismatic joints can mimic another"
-        add_joint_fault(notes, "URD015", joint, message, hint, element)
+        add_joint_fault(diagnostics, "URD015", joint, message, hint, element)
         return None
     return Mimic(leader, gain, offset) if leader else None
 
 
 def _read_link(
-    element: XmlElement, links: dict[str, UrdfLink], notes: XmlNotes
+    element: XmlElement, links: dict[str, UrdfLink], diagnostics: XmlDiagnostics
 ) -> None:
     """Read a link into the links of the file; record faults."""
-    name = require_text(element, "name", None, notes)
+    name = require_text(element, "name", None, diagnostics)
     if not name:
         return
     location = element_label("link", name)
     if name in links:
         message = f"two links are named {excerpt(name)}"
         hint = f"the first is in line {links[name].element.line}"
-        notes.add("URD009", element, message, hint)
+        diagnostics.add("URD009", element, message, hint)
         return
     link = links[name] = UrdfLink(element, name)
-    inertial = find_single_child(element, "inertial", location, notes)
+    inertial = find_single_child(element, "inertial", location, diagnostics)
     if inertial is not None:
-        link.mass = _read_mass(inertial, location, notes)
+        link.mass = _read_mass(inertial, location, diagnostics)
     link.meshes += [
         mesh
         for shape in (*element.find_all("visual"), *element.find_all("collision"))
@@ -297,18 +316,18 @@ def _read_link(
         if mesh.attributes.get("filename")
     ]
     for shape_element in element.find_all("collision"):
-        solid = _read_shape(shape_element, location, notes)
+        solid = _read_shape(shape_element, location, diagnostics)
         if solid is not None:
             link.solids.append(solid)
     for shape_element in element.find_all("visual"):
-        link.visuals += _read_visual(shape_element, location, notes)
+        link.visuals += _read_visual(shape_element, location, diagnostics)
 
 
 def _read_visual(
-    element: XmlElement, location: str, notes: XmlNotes
+    element: XmlElement, location: str, diagnostics: XmlDiagnostics
 ) -> Iterator[Visual]:
     """Yield the visual of an element; record an invalid one as ignored."""
-    visual_notes = XmlNotes(notes.path, notes.number_code)
+    visual_notes = XmlDiagnostics(diagnostics.path, diagnostics.number_code)
     meshes = [m for g in element.find_all("geometry") for m in g.find_all("mesh")]
     visual: Visual | None = None
     if meshes and meshes[0].attributes.get("filename"):
@@ -322,31 +341,33 @@ def _read_visual(
         solid = _read_shape(element, location, visual_notes)
         visual = None if solid is None else Visual(None, solid)
     if visual_notes.faults:
-        notes.record_ignored(["visuals with faults"])
+        diagnostics.record_ignored(["visuals with faults"])
     elif visual is not None:
         yield visual
     else:
-        notes.record_ignored(["visuals without a shape"])
+        diagnostics.record_ignored(["visuals without a shape"])
 
 
-def _read_mass(inertial: XmlElement, location: str, notes: XmlNotes) -> LinkMass | None:
-    """Return a link's mass; None without one and, with a warning, if impossible."""
-    position, rotation = read_pose(inertial, location, notes)
-    fault_count = len(notes.faults)
-    mass_element = find_single_child(inertial, "mass", location, notes)
-    inertia_element = find_single_child(inertial, "inertia", location, notes)
+def _read_mass(
+    inertial: XmlElement, location: str, diagnostics: XmlDiagnostics
+) -> LinkMass | None:
+    """Return a link's mass; None if missing or, with a warning, impossible."""
+    position, rotation = read_pose(inertial, location, diagnostics)
+    fault_count = len(diagnostics.faults)
+    mass_element = find_single_child(inertial, "mass", location, diagnostics)
+    inertia_element = find_single_child(inertial, "inertia", location, diagnostics)
     mass = 0.0
     if mass_element is not None:
-        mass = notes.read_number(mass_element, "value", 0.0, location)
+        mass = diagnostics.read_number(mass_element, "value", 0.0, location)
     inertia = np.zeros((3, 3))
     if inertia_element is not None:
         for i, row_axis in enumerate("xyz"):
             for j, column_axis in enumerate("xyz"[i:], i):
-                value = notes.read_number(
+                value = diagnostics.read_number(
                     inertia_element, f"i{row_axis}{column_axis}", 0.0, location
                 )
                 inertia[i, j] = inertia[j, i] = value
-    if len(notes.faults) > fault_count:
+    if len(diagnostics.faults) > fault_count:
         return None
     if not mass and not inertia.any():
         return None  # a frame without mass
@@ -355,7 +376,7 @@ def _read_mass(inertial: XmlElement, location: str, notes: XmlNotes) -> LinkMass
         message = f"no body can have this mass: {problem}; it is ignored"
         hint = "bodies of a ragdoll then weigh what the density of colliders gives"
         severity = Severity.WARNING
-        notes.add(
+        diagnostics.add(
             "URD107", inertial, message, hint, location=location, severity=severity
         )
         return None
@@ -364,25 +385,27 @@ def _read_mass(inertial: XmlElement, location: str, notes: XmlNotes) -> LinkMass
 
 
 def _read_shape(
-    element: XmlElement, location: str, notes: XmlNotes
+    element: XmlElement, location: str, diagnostics: XmlDiagnostics
 ) -> SimpleShape | None:
     """Return the primitive shape of a visual or collision; None for other geometry."""
-    geometry = find_single_child(element, "geometry", location, notes)
+    geometry = find_single_child(element, "geometry", location, diagnostics)
     shape = next(iter(geometry.children), None) if geometry is not None else None
     if shape is None or shape.tag not in _SHAPE_ATTRIBUTES:
         tag = "of no shape" if shape is None else f"of <{shape.tag[:40]}>"
         label = "collision meshes" if tag == "of <mesh>" else f"collisions {tag}"
-        notes.record_ignored([label])
+        diagnostics.record_ignored([label])
         return None
-    position, rotation = read_pose(element, location, notes)
+    position, rotation = read_pose(element, location, diagnostics)
     size: list[float] = []
-    fault_count = len(notes.faults)
+    fault_count = len(diagnostics.faults)
     for name, count in _SHAPE_ATTRIBUTES[shape.tag]:
-        if require_text(shape, name, location, notes):
-            size += notes.read_numbers(shape, name, count, (1.0,) * count, location)
-    if len(notes.faults) > fault_count:
+        if require_text(shape, name, location, diagnostics):
+            size += diagnostics.read_numbers(
+                shape, name, count, (1.0,) * count, location
+            )
+    if len(diagnostics.faults) > fault_count:
         return None
     if min(size) <= 0:
-        notes.record_ignored(["collisions without size"])
+        diagnostics.record_ignored(["collisions without size"])
         return None
     return SimpleShape(shape.tag, tuple(size), position, rotation)

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import FormatError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import read_input
-from animtool.formats.robots.notes import XmlNotes, element_label
+from animtool.formats.robots.diagnostics import XmlDiagnostics, element_label
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.parts import Triangles
 from animtool.formats.robots.triangles import triangulate_shape
@@ -29,7 +29,9 @@ _STL_TRIANGLE = np.dtype(
 )
 
 
-def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Path]:
+def find_mesh_files(
+    file: UrdfFile, path: Path, diagnostics: XmlDiagnostics
+) -> dict[str, Path]:
     """Return mesh files by their names in the URDF; record files outside the project.
 
     Missing files are only noted, since motion does not need them.
@@ -53,7 +55,7 @@ def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
             location = element_label("link", link.name)
-            notes.add("URD016", mesh, message, hint, location=location)
+            diagnostics.add("URD016", mesh, message, hint, location=location)
             continue
         if file_path is None:
             missing_files[name] = None
@@ -64,12 +66,12 @@ def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
         message += listed([excerpt(n, 80) for n in missing_files], MAX_LISTED_FILES)
         hint = "motion needs none of them; package:// means a folder of that name in "
         hint += "the project, or the package that the file is in"
-        notes.add("URD103", None, message, hint, severity=Severity.NOTE)
+        diagnostics.add("URD103", None, message, hint, severity=Severity.NOTE)
     return files
 
 
 def read_surfaces(
-    file: UrdfFile, files: dict[str, Path], notes: XmlNotes
+    file: UrdfFile, files: dict[str, Path], diagnostics: XmlDiagnostics
 ) -> dict[str, list[Triangles]]:
     """Return visible surfaces by link name; record meshes that cannot be read."""
     meshes_by_path: dict[Path, Triangles | None] = {}
@@ -79,13 +81,13 @@ def read_surfaces(
     for link in file.links.values():
         for visual in link.visuals:
             surface = _read_surface(
-                visual, files, meshes_by_path, unreadable_files, notes
+                visual, files, meshes_by_path, unreadable_files, diagnostics
             )
             if surface is None:
                 continue
             triangle_count += len(surface.faces)
             if triangle_count > MAX_ROBOT_TRIANGLES:
-                notes.record_ignored(
+                diagnostics.record_ignored(
                     [f"more than {MAX_ROBOT_TRIANGLES:,} triangles of visuals"]
                 )
                 return surfaces
@@ -94,7 +96,7 @@ def read_surfaces(
         message = f"{counted(len(unreadable_files), 'mesh', 'meshes')} not shown: "
         message += listed(list(unreadable_files), MAX_LISTED_FILES)
         hint = "export it as STL or OBJ again"
-        notes.add("URD110", None, message, hint, severity=Severity.WARNING)
+        diagnostics.add("URD110", None, message, hint, severity=Severity.WARNING)
     return surfaces
 
 
@@ -103,7 +105,7 @@ def _read_surface(
     files: dict[str, Path],
     meshes_by_path: dict[Path, Triangles | None],
     unreadable_files: dict[str, None],
-    notes: XmlNotes,
+    diagnostics: XmlDiagnostics,
 ) -> Triangles | None:
     """Return a visual's surface in its link frame; None if it cannot be read."""
     if visual.mesh is None:
@@ -113,7 +115,9 @@ def _read_surface(
     if path is None:
         return None
     if path.suffix.lower() not in MESH_SUFFIXES:
-        notes.record_ignored([f"meshes in {path.suffix.lower()[:20] or 'other'} files"])
+        diagnostics.record_ignored(
+            [f"meshes in {path.suffix.lower()[:20] or 'other'} files"]
+        )
         return None
     if path not in meshes_by_path:
         try:

@@ -8,7 +8,7 @@ import numpy as np
 
 from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.formats.robots.build import RobotCodes, build_rig, zero_pose_stream
-from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.diagnostics import XmlDiagnostics
 from animtool.formats.robots.parts import (
     Link,
     Robot,
@@ -54,17 +54,17 @@ def read_urdf_rig(path: Path | str) -> Rig:
         path: A .urdf file.
     """
     path = Path(path)
-    notes = XmlNotes(path, "URD007")
-    file = read_file(path, notes)
-    check_tree(file, notes)
-    mimics = resolve_mimics(file, notes)
-    mesh_files = find_mesh_files(file, path, notes)
-    notes.raise_faults()
-    _note_unactuated_joints(file, notes)
-    _check_ranges(file, mimics, notes)
-    surfaces = read_surfaces(file, mesh_files, notes)
+    diagnostics = XmlDiagnostics(path, "URD007")
+    file = read_file(path, diagnostics)
+    check_tree(file, diagnostics)
+    mimics = resolve_mimics(file, diagnostics)
+    mesh_files = find_mesh_files(file, path, diagnostics)
+    diagnostics.raise_faults()
+    _note_unactuated_joints(file, diagnostics)
+    _check_ranges(file, mimics, diagnostics)
+    surfaces = read_surfaces(file, mesh_files, diagnostics)
     robot = Robot(file.name or path.stem, _links_depth_first(file, mimics, surfaces))
-    return build_rig(robot, notes, _CODES)
+    return build_rig(robot, diagnostics, _CODES)
 
 
 def read_urdf(path: Path | str) -> TakeStream:
@@ -138,7 +138,7 @@ def _planar_joints(joint: UrdfJoint) -> list[RobotJoint]:
     return [slide_x, slide_y, RobotJoint(joint.name, JointType.PIN, axis=joint.axis)]
 
 
-def _note_unactuated_joints(file: UrdfFile, notes: XmlNotes) -> None:
+def _note_unactuated_joints(file: UrdfFile, diagnostics: XmlDiagnostics) -> None:
     """Record joints without transmissions if other joints have them."""
     unactuated_names = [
         j.name
@@ -153,10 +153,12 @@ def _note_unactuated_joints(file: UrdfFile, notes: XmlNotes) -> None:
             [excerpt(name) for name in unactuated_names], MAX_LISTED_JOINTS
         )
         hint = "in a rig they move as all others do"
-        notes.add("URD105", None, message, hint, severity=Severity.NOTE)
+        diagnostics.add("URD105", None, message, hint, severity=Severity.NOTE)
 
 
-def _check_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> None:
+def _check_ranges(
+    file: UrdfFile, mimics: dict[str, Mimic], diagnostics: XmlDiagnostics
+) -> None:
     """Record limits that exclude 0, and mimics beyond their limits."""
     joints_without_zero = [
         joint.name
@@ -172,7 +174,7 @@ def _check_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> 
             [excerpt(name) for name in joints_without_zero], MAX_LISTED_JOINTS
         )
         hint = "the rest pose is still at 0; a take uses the nearest limit"
-        notes.add("URD109", None, message, hint, severity=Severity.NOTE)
+        diagnostics.add("URD109", None, message, hint, severity=Severity.NOTE)
     for name, mimic in mimics.items():
         follower, leader = file.joints[name], file.joints[mimic.joint]
         if follower.limits is None or leader.limits is None:
@@ -192,4 +194,6 @@ def _check_ranges(file: UrdfFile, mimics: dict[str, Mimic], notes: XmlNotes) -> 
             hint = "make its limits wider, or those of the joint that it mimics "
             hint += "narrower"
             warning = Severity.WARNING
-            add_joint_fault(notes, "URD108", follower, message, hint, severity=warning)
+            add_joint_fault(
+                diagnostics, "URD108", follower, message, hint, severity=warning
+            )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from animtool.core.errors import cycle_text, excerpt, listed
 from animtool.core.names import name_hint
-from animtool.formats.robots.notes import XmlNotes
+from animtool.formats.robots.diagnostics import XmlDiagnostics
 from animtool.formats.urdf.elements import (
     SCALAR_KINDS,
     UrdfFile,
@@ -14,7 +14,7 @@ from animtool.formats.urdf.elements import (
 from animtool.rig.skeleton import Mimic
 
 
-def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
+def check_tree(file: UrdfFile, diagnostics: XmlDiagnostics) -> None:
     """Record unknown links, links with two parents or none, and cycles."""
     parents: dict[str, UrdfJoint] = {}
     for joint in file.joints.values():
@@ -22,7 +22,7 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
             if name and name not in file.links:
                 message = f"its {tag} link {excerpt(name)} does not exist"
                 hint = name_hint(name, file.links)
-                add_joint_fault(notes, "URD010", joint, message, hint)
+                add_joint_fault(diagnostics, "URD010", joint, message, hint)
         if joint.child in parents:
             first_joint = parents[joint.child]
             message = (
@@ -34,15 +34,15 @@ def check_tree(file: UrdfFile, notes: XmlNotes) -> None:
             hint = "a robot is a tree: remove one of the two joints"
             if cycle:
                 message += f"; {cycle_text(cycle)} go round"
-            add_joint_fault(notes, "URD011", joint, message, hint)
+            add_joint_fault(diagnostics, "URD011", joint, message, hint)
         elif joint.child:
             parents[joint.child] = joint
-    if not notes.faults:
-        _check_roots(file, parents, notes)
+    if not diagnostics.faults:
+        _check_roots(file, parents, diagnostics)
 
 
 def _cycle_through(joint: UrdfJoint, parent_joints: dict[str, UrdfJoint]) -> list[str]:
-    """Return the joints of a cycle through a joint's child; empty without a cycle."""
+    """Return the joints of a cycle through a joint's child; empty if there is none."""
     names, link = [joint.name], joint.parent
     visited_links: set[str] = set()
     while link in parent_joints and link not in visited_links:
@@ -55,7 +55,7 @@ def _cycle_through(joint: UrdfJoint, parent_joints: dict[str, UrdfJoint]) -> lis
 
 
 def _check_roots(
-    file: UrdfFile, parent_joints: dict[str, UrdfJoint], notes: XmlNotes
+    file: UrdfFile, parent_joints: dict[str, UrdfJoint], diagnostics: XmlDiagnostics
 ) -> None:
     roots = [name for name in file.links if name not in parent_joints]
     if len(roots) > 1:
@@ -63,7 +63,7 @@ def _check_roots(
         message = f"{len(roots)} links have no parent: {names_text}"
         hint = "a robot has one root: join the others to it by joints"
         second_root = file.links[roots[1]].element
-        notes.add("URD012", second_root, message, hint)
+        diagnostics.add("URD012", second_root, message, hint)
     reachable = set(roots)
     children: dict[str, list[str]] = {}
     for joint in file.joints.values():
@@ -89,10 +89,10 @@ def _check_roots(
         message = f"joints go round: {cycle_text([*reversed(names), names[-1]])}"
         if not roots:
             message += "; every link has a parent, so there is no root"
-        add_joint_fault(notes, "URD011", first_joint, message, hint)
+        add_joint_fault(diagnostics, "URD011", first_joint, message, hint)
 
 
-def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
+def resolve_mimics(file: UrdfFile, diagnostics: XmlDiagnostics) -> dict[str, Mimic]:
     """Return mimics by joint name, each of a joint that mimics no other.
 
     A mimic of a mimic follows the first leader, with combined multipliers and offsets.
@@ -104,12 +104,12 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         if leader is None:
             message = f"it mimics joint {excerpt(joint.mimic.joint)}, which does not "
             hint = name_hint(joint.mimic.joint, file.joints)
-            add_joint_fault(notes, "URD015", joint, f"{message}exist", hint)
+            add_joint_fault(diagnostics, "URD015", joint, f"{message}exist", hint)
         elif leader.kind not in SCALAR_KINDS:
             message = f"it mimics {leader.location}, which is {leader.kind}"
             hint = "a mimic follows a revolute, continuous or prismatic joint"
-            add_joint_fault(notes, "URD015", joint, message, hint)
-    if notes.faults:
+            add_joint_fault(diagnostics, "URD015", joint, message, hint)
+    if diagnostics.faults:
         return {}
     resolved_mimics: dict[str, Mimic] = {}
     reported_joints: set[str] = set()
@@ -132,7 +132,11 @@ def resolve_mimics(file: UrdfFile, notes: XmlNotes) -> dict[str, Mimic]:
         if not reported_joints.intersection(cycle):
             message = f"joints mimic each other: {cycle_text(cycle)}"
             add_joint_fault(
-                notes, "URD015", file.joints[cycle[0]], message, "one must move itself"
+                diagnostics,
+                "URD015",
+                file.joints[cycle[0]],
+                message,
+                "one must move itself",
             )
         reported_joints.update(cycle)
     return resolved_mimics

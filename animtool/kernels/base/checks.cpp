@@ -75,7 +75,7 @@ void positive(const char* name, double value) {
     refuse(name, text(value) + " is not above 0 and finite");
 }
 
-void not_negative(const char* name, double value) {
+void non_negative(const char* name, double value) {
   if (!(std::isfinite(value) && value >= 0))
     refuse(name, text(value) + " is not 0 or more and finite");
 }

@@ -71,7 +71,7 @@ std::size_t points(const char* name, const Array& array) {
 // Checks a single number.
 void finite(const char* name, double value);
 void positive(const char* name, double value);
-void not_negative(const char* name, double value);
+void non_negative(const char* name, double value);
 
 // Checks that all numbers are finite; for float and double.
 template <class T>

@@ -41,9 +41,9 @@ Returns ``(state, touches, normals)``: ``(2, N, 3)``; the last collider in conta
 the kind of contact (0 none, 1 bounced, 2 rests, 3 unresolved) ``(N, 2)``; outward directions
 ``(N, 3)``.)");
 
-  m.def("sample_colliders", &sample_colliders, WithoutLock(), "colliders"_a, "points"_a, "share"_a,
-        "step"_a,
-        R"(Sample C colliders at N points, at a fraction ``share`` of a step.
+  m.def("sample_colliders", &sample_colliders, WithoutLock(), "colliders"_a, "points"_a,
+        "fraction"_a, "step"_a,
+        R"(Sample C colliders at N points, at a ``fraction`` of a step.
 
 Returns ``(distances, normals, velocities)``: ``(C, N)`` minus the margins, negative inside;
 outward normals and velocities of the surfaces ``(C, N, 3)``.)");

@@ -74,7 +74,7 @@ the left and negative on the right, -1 to 1 ``(N,)``.)",
          Field{"max_passes", &Step::max_passes}, Field{"tolerance", &Step::tolerance});
 
   m.def(
-      "travel_distances", &travel_distances, WithoutLock(), "free"_a, "cell"_a, "seeds"_a,
+      "travel_distances", &travel_distances, WithoutLock(), "is_free"_a, "cell_size"_a, "seeds"_a,
       "starts"_a,
       R"(Distances of grid nodes from seeds along free nodes ``(R, C)`` [m]; infinite if unreachable.
 

@@ -8,13 +8,13 @@ namespace animtool {
 void bind_fluid(nb::module_& m) {
   m.def("fluid_steps", &fluid_steps, WithoutLock(), "colliders"_a, "owners"_a, "bodies"_a,
         "state"_a, "accelerations"_a, "spacing"_a, "density"_a, "viscosity"_a, "tension"_a,
-        "sound"_a, "step"_a, "substeps"_a,
+        "sound_speed"_a, "step"_a, "substeps"_a,
         R"(State of N fluid particles after a step [s], in substeps.
 
 ``state`` is positions and velocities ``(2, N, 3)``, ``accelerations`` ``(N, 3)`` [m/s²] are
 constant in the step, ``colliders`` move. ``owners`` is the body of each collider, -1 for none
 ``(C,)``. ``bodies`` ``(B, 13)``: the inverse mass [1/kg], the inverse inertia (xx, yy, zz, xy, xz,
-yz), and the centre of mass at both ends of the step [m]. ``sound`` is the speed of sound [m/s],
+yz), and the centre of mass at both ends of the step [m]. ``sound_speed`` is the speed of sound [m/s],
 at most a spacing per substep; ``tension`` is the surface tension [N/m].
 
 Returns ``(state, pressures, impulses, compression)``: pressures are means over the step ``(N,)``

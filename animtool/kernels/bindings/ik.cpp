@@ -100,14 +100,14 @@ bones, and the goals. The others are those of `coordinates_to_local`.
                Field{"warm", &Solver::warm}, Field{"method", &Solver::method});
   rig_solver
       .def("solve", &RigSolver::solve, WithoutLock(), "starts"_a, "targets"_a, "preferred"_a.none(),
-           "placed"_a,
+           "returns_joint_poses"_a,
            R"(Solve problems from poses ``(B, Q)`` and targets in the world ``(B, E, W)``.
 
 ``preferred`` ``(B, Q)``; None is the starts.
 
 Returns ``(coordinates, errors, reports, seconds, reached, scales, positions, linear)``: the first
 four are those of `solve_ik`, in the rig's units; whether goals are reached ``(B, E)``; scales of
-the bones ``(B, E)``; if ``placed``, world positions ``(B, J, 3)`` and linear parts of the joints
+the bones ``(B, E)``; if ``returns_joint_poses``, world positions ``(B, J, 3)`` and linear parts of the joints
 ``(B, J, 3, 3)``, else empty.)")
       .def(
           "branches", &RigSolver::branches, WithoutLock(), "start"_a, "targets"_a,
@@ -166,12 +166,12 @@ Returns ``(coordinates, errors, searched, taken, rounds, before, after)``: ``(F,
          Field{"rounds", &Fitting::rounds}, Field{"tracked", &Fitting::tracked});
 
   m.def("cheapest_ik_path", &cheapest_ik_path, WithoutLock(), "nodes"_a, "numbers"_a, "paths"_a,
-        "costs"_a, "drifts"_a, "easy"_a, "open"_a, "closed"_a,
+        "costs"_a, "drifts"_a, "free_step"_a, "allows_any_start"_a, "must_end_on_first"_a,
         R"(Return the path to follow at each frame ``(L,)`` among K paths ``(K, L, Q)``.
 
-The result begins on the first path, unless ``open``, and ends there if ``closed``. It minimises
+The result begins on the first path, unless ``allows_any_start``, and ends there if ``must_end_on_first``. It minimises
 the sum of ``costs`` ``(K, L)`` and of the squared steps from frame to frame, minus ``drifts``
-``(L - 1, D)``. Joints that move farther than ``easy`` ``(L - 1,)`` cost a hundred times more.)");
+``(L - 1, D)``. Joints that move farther than ``free_step`` ``(L - 1,)`` cost a hundred times more.)");
 }
 
 }  // namespace animtool

@@ -19,9 +19,9 @@ Returns ``(accelerations, potentials, rates)``: ``(N, 3)`` [m/s²], ``(N,)`` [m�
 largest ``constant * (masses[i] + masses[j]) / (d² + softening²)^1.5`` of each body with
 another ``(N,)`` [1/s²]; with a tree, only near bodies are included.)");
 
-  m.def("molecule_pairs", &molecule_pairs, WithoutLock(), "points"_a, "box"_a, "reach"_a,
+  m.def("molecule_pairs", &molecule_pairs, WithoutLock(), "points"_a, "box"_a, "radius"_a,
         "max_pairs"_a,
-        R"(Neighbour list of N molecules within the distance ``reach``, in a periodic box.
+        R"(Neighbour list of N molecules within a ``radius``, in a periodic box.
 
 Points are finite, and may be outside the box. No side of ``box`` ``(3,)`` is below twice the
 reach.

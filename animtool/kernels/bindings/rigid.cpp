@@ -10,7 +10,7 @@ void bind_rigid(nb::module_& m) {
                           R"(N rigid bodies of S convex shapes, and K joints.
 
 ``inertias`` ``(N, 4)``: mass and moments about the principal axes, which are the axes of their
-frames; a moment of 0, as about a rod, is ignored. ``bodies`` ``(S,)`` ascend; ``numbers``
+frames; a moment of 0, as about a rod, is ignored. ``bodies`` ``(S,)`` ascend; ``shape_numbers``
 ``(S, 3)``: rounding radius, restitution and friction. ``points`` ``(P, 3)`` of shape s start at
 ``point_starts[s]`` ``(S + 1,)``, in the frame of its body, for hulls only corners; its faces start
 at ``face_starts[s]``, each with ``corners`` from ``corner_starts[f]`` on, counter-clockwise from
@@ -21,12 +21,13 @@ frame. ``joint_numbers`` ``(K, 27)``: origin and quaternion x y z w of the frame
 as the axis; lower and upper limit of angle, slide or twist (lower above upper is unlimited);
 half-angles of the swing about y and z (negative is unlimited); target of the drive, and of a
 ball's its rotation; its stiffness, damping, and largest force or torque (negative is unlimited).
-Bodies of a joint do not collide, nor do the pairs ``excluded`` ``(P, 2)``.)")
+Bodies of a joint do not collide, nor do the ``excluded_pairs`` ``(P, 2)``.)")
       .def(nb::init<In<double, 2>, In<std::int64_t, 1>, In<double, 2>, In<double, 2>,
                     In<std::int64_t, 1>, In<std::int64_t, 1>, In<std::int64_t, 1>,
                     In<std::int64_t, 1>, In<std::int64_t, 2>, In<double, 2>, In<std::int64_t, 2>>(),
-           "inertias"_a, "bodies"_a, "numbers"_a, "points"_a, "point_starts"_a, "face_starts"_a,
-           "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a, "excluded"_a);
+           "inertias"_a, "bodies"_a, "shape_numbers"_a, "points"_a, "point_starts"_a,
+           "face_starts"_a, "corner_starts"_a, "corners"_a, "joints"_a, "joint_numbers"_a,
+           "excluded_pairs"_a);
 
   m.def("step_rigid", &step_rigid, WithoutLock(), "bodies"_a, "state"_a, "pairs"_a, "contacts"_a,
         "joint_impulses"_a, "forces"_a, "colliders"_a, "anchors"_a, "step"_a, "method"_a,

@@ -7,16 +7,16 @@ namespace animtool {
 
 void bind_skin(nb::module_& m) {
   m.def("skin_linear", &skin_linear, WithoutLock(), "points"_a, "first"_a, "joints"_a, "weights"_a,
-        "transforms"_a, "normalize"_a, "out"_a.noconvert(),
+        "transforms"_a, "normalizes"_a, "out"_a.noconvert(),
         R"(Fill in points ``(F, V, 3)`` moved by the weighted sum of joints' transforms.
 
 Points are ``(F, V, 3)``, or ``(1, V, 3)`` if they do not move. Vertex v follows
 ``joints[first[v]:first[v + 1]]`` with the weights at the same indices. Transforms are
-``(F, U, 3, 4)``, for column vectors. ``normalize`` scales results to length 1.)");
+``(F, U, 3, 4)``, for column vectors. ``normalizes`` scales results to length 1.)");
 
   m.def("skin_dual_quaternion", &skin_dual_quaternion, WithoutLock(), "points"_a, "first"_a,
         "joints"_a, "weights"_a, "rotations"_a, "translations"_a, "stretches"_a.none(),
-        "normalize"_a, "out"_a.noconvert(),
+        "normalizes"_a, "out"_a.noconvert(),
         R"(Fill in points ``(F, V, 3)`` moved by the weighted sum of dual quaternions.
 
 Like `skin_linear`, with unit quaternions ``(F, U, 4)`` and translations ``(F, U, 3)``. The

@@ -554,8 +554,8 @@ FaceFit fit_face(In<double, 3> neutral, In<double, 3> deltas, In<double, 3> obse
   check::finite("poses", poses);
   check::finite("weights", weights);
   check::positive("threshold", threshold);
-  check::not_negative("smooth", smooth);
-  check::not_negative("rest", rest);
+  check::non_negative("smooth", smooth);
+  check::non_negative("rest", rest);
   check::positive("tolerance", tolerance);
   check::between("max_iterations", max_iterations, 1, 1000);
   if (camera) {

@@ -470,11 +470,11 @@ Triangulation triangulate_points(In<double, 4> pixels, std::optional<In<double, 
   check_views(pixels, cameras);
   const std::size_t F = pixels.shape(0), C = pixels.shape(1), M = pixels.shape(2);
   if (confidences) check::shape("confidences", *confidences, {F, C, M});
-  check::shape("active", is_active, {F, C});
+  check::shape("is_active", is_active, {F, C});
   check::shape("noise", noise, {C});
   for (std::size_t c = 0; c < C; ++c) check::positive("noise", noise.data()[c]);
-  check::positive("gate", outlier_gate);
-  check::positive("condition", max_condition);
+  check::positive("outlier_gate", outlier_gate);
+  check::positive("max_condition", max_condition);
   const double* confidence_data = confidences ? confidences->data() : nullptr;
 
   const std::size_t detail_frames = has_details ? F : 0;

@@ -117,7 +117,7 @@ ParticleCollisions collide_particles(ColliderArrays colliders, In<double, 3> bef
   check::shape("after", after, {2, count, 3});
   check::shape("radii", radii, {count});
   check::shape("begins", begins, {count});
-  check::not_negative("step", step);
+  check::non_negative("step", step);
   const std::vector<Collider> world_colliders = read_colliders(colliders);
   Out<double, 3> state(2, count, 3);
   Out<double, 2> normals(count, 3);
@@ -143,8 +143,8 @@ ColliderSamples sample_colliders(ColliderArrays colliders, In<double, 2> points,
                                  double step) {
   const std::size_t count = points.shape(0);
   check::shape("points", points, {check::ANY, 3});
-  check::between("share", fraction, 0, 1);
-  check::not_negative("step", step);
+  check::between("fraction", fraction, 0, 1);
+  check::non_negative("step", step);
   const std::vector<Collider> world_colliders = read_colliders(colliders);
   Out<double, 2> distances(world_colliders.size(), count);
   Out<double, 3> normals(world_colliders.size(), count, 3),

@@ -519,13 +519,13 @@ CrowdStepResult crowd_step(const CrowdStep& options) {
   check::positive("sight", sight);
   check::between("nearest", nearest, 0, 1000);
   check::positive("horizon", horizon);
-  check::not_negative("space", space);
+  check::non_negative("space", space);
   check::finite("push", push);
-  check::not_negative("headway", headway);
+  check::non_negative("headway", headway);
   check::between("side", side, -1, 1);
   check::positive("step", step);
   check::between("max_passes", max_passes, 0, 10000);
-  check::not_negative("tolerance", tolerance);
+  check::non_negative("tolerance", tolerance);
   Out<double, 2> out(count, 2), new_velocities(count, 2);
   Out<double, 1> shoulder_yaws(count);
   double overlap = 0;
@@ -601,8 +601,8 @@ Out<double, 2> travel_distances(In<bool, 2> is_free, double cell_size, In<std::i
                                 In<double, 1> starts) {
   const std::size_t row_count = is_free.shape(0), column_count = is_free.shape(1),
                     count = row_count * column_count;
-  check::at_most("free", count, check::MAX_ROWS);
-  check::positive("cell", cell_size);
+  check::at_most("is_free", count, check::MAX_ROWS);
+  check::positive("cell_size", cell_size);
   check::indices("seeds", seeds, 0, static_cast<std::int64_t>(count));
   check::numbers("starts", starts, {seeds.shape(0)});
   Out<double, 2> out(row_count, column_count);

@@ -38,7 +38,7 @@ Vec find_repulsion(const FlockRule& rule, const Vec& offset, double squared_dist
 double add_mutual_forces(const FlockRule& rule, const Neighbours& grid, const Vec* velocities,
                          double max_tests, double* out, std::int32_t* counts) {
   struct Sums {
-    Vec pull, repulsion;
+    Vec steering, repulsion;
   };
   const Block<Sums> sums = block<Sums>(grid.size());
   std::fill_n(sums.get(), grid.size(), Sums());
@@ -54,21 +54,21 @@ double add_mutual_forces(const FlockRule& rule, const Neighbours& grid, const Ve
         for (; hit < end; ++hit) {
           const std::size_t j = static_cast<std::size_t>(*hit);
           const Vec offset = Vec{x[j], y[j], z[j]} - position;
-          Vec pull = offset * rule.attraction.weight;
-          pull += (velocities[j] - velocity) * rule.alignment.weight;
+          Vec steering = offset * rule.attraction.weight;
+          steering += (velocities[j] - velocity) * rule.alignment.weight;
           const Vec repulsion = find_repulsion(rule, offset, dot(offset, offset));
-          point_sums.pull += pull;
+          point_sums.steering += steering;
           point_sums.repulsion += repulsion;
-          sums[j].pull -= pull;
+          sums[j].steering -= steering;
           sums[j].repulsion -= repulsion;
           ++sight_counts[j];
         }
-        sums[i].pull += point_sums.pull;
+        sums[i].steering += point_sums.steering;
         sums[i].repulsion += point_sums.repulsion;
       });
   for (std::size_t i = 0; i < grid.size(); ++i) {
     const std::size_t member = static_cast<std::size_t>(grid.point_indices()[i]);
-    Vec sum = sums[i].pull * (sight_counts[i] ? 1.0 / sight_counts[i] : 0.0);
+    Vec sum = sums[i].steering * (sight_counts[i] ? 1.0 / sight_counts[i] : 0.0);
     sum -= sums[i].repulsion * rule.repulsion.weight;
     out[3 * member] = sum.x, out[3 * member + 1] = sum.y, out[3 * member + 2] = sum.z;
     counts[member] = sight_counts[i];
@@ -148,7 +148,7 @@ class NeighbourForces {
 Interaction read_interaction(const char* name, const In<double, 1>& pair) {
   check::shape(name, pair, {2});
   check::finite(name, pair);
-  check::not_negative(name, pair.data()[1]);
+  check::non_negative(name, pair.data()[1]);
   return {pair.data()[0], pair.data()[1]};
 }
 
@@ -164,7 +164,7 @@ std::tuple<Out<double, 2>, Out<std::int32_t, 1>, double> flock_accelerations(
   check::positive("radius", radius);
   check::between("cosine", cosine, -1, 1);
   check::between("nearest", nearest, 0, std::numeric_limits<std::int32_t>::max());
-  check::not_negative("softening", softening);
+  check::non_negative("softening", softening);
   check::numbers("period", period, {2, 3});
   const double* periods = period.data() + 3;
   for (std::size_t k = 0; k < 3; ++k)

@@ -143,7 +143,7 @@ std::tuple<Out<double, 2>, double, double> flock_separate(In<double, 2> points,
   check_spacing(min_distances, count, period);
   check::between("max_passes", max_passes, 0, std::numeric_limits<std::int32_t>::max());
   check::positive("relaxation", relaxation);
-  check::not_negative("clearance", clearance);
+  check::non_negative("clearance", clearance);
   Out<double, 2> result(count, 3);
   double test_count = 0, overlap = 0;
   double* positions = result.get();

@@ -355,7 +355,7 @@ CubicFit fit_cubics(In<double, 2> values, In<double, 1> bounds, In<std::int64_t,
   for (std::size_t k = 1; k < anchors.shape(0); ++k)
     if (anchor[k] <= anchor[k - 1])
       check::refuse("anchors", "it does not ascend at index " + check::text(k));
-  check::indices("straight", straight_frames, 0, static_cast<std::int64_t>(frames));
+  check::indices("straight_frames", straight_frames, 0, static_cast<std::int64_t>(frames));
   std::vector<std::size_t> straight_counts(frames + 1, 0);
   for (std::size_t k = 0; k < straight_frames.shape(0); ++k)
     straight_counts[straight_frames.data()[k] + 1] = 1;

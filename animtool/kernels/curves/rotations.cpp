@@ -396,14 +396,14 @@ Out<double, 3> evaluate_rotations(In<double, 1> times, In<double, 3> keys,
   const std::size_t count = times.shape(0), curve_count = keys.shape(1), frames = at.shape(0);
   check::shape("keys", keys, {count, check::ANY, 4});
   check::shape("kinds", kinds, {count});
-  check::shape("beyond", times_beyond, {frames});
-  check::shape("cycles", cycle_counts, {frames});
+  check::shape("times_beyond", times_beyond, {frames});
+  check::shape("cycle_counts", cycle_counts, {frames});
   if (count == 0) check::refuse("times", "there is no key");
   check::ascending("times", times.data(), count);
   check::finite("times", times);
   check::finite("at", at);
-  check::finite("beyond", times_beyond);
-  check::finite("cycles", cycle_counts);
+  check::finite("times_beyond", times_beyond);
+  check::finite("cycle_counts", cycle_counts);
   check::indices("kinds", kinds, kStep, kSpline + 1);
   const RotationKeys rotation_keys = read_keys(times, keys, kinds);
   const auto has_nonzero = [](const In<double, 1>& values) {

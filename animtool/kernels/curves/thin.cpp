@@ -93,27 +93,27 @@ class PoseInterpolation {
 }  // namespace
 
 std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
-    In<double, 3> rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> pose_indices,
-    In<double, 2> offsets, In<double, 2> pre_rotations, In<double, 2> rest_rotations,
+    In<double, 3> joint_rotations, In<std::int64_t, 1> parents, In<std::int64_t, 1> pose_indices,
+    In<double, 2> positions, In<double, 2> pre_rotations, In<double, 2> rest_rotations,
     In<std::int64_t, 1> feet, In<bool, 2> foot_stands, In<std::int64_t, 1> span_starts,
     std::int64_t span_width, double max_joint_error, double max_foot_error, double max_root_shift) {
-  const std::size_t frames = rotations.shape(0), moving_count = rotations.shape(1),
+  const std::size_t frames = joint_rotations.shape(0), moving_count = joint_rotations.shape(1),
                     count = parents.shape(0);
-  check::at_most("turns", frames * moving_count, check::MAX_ROWS);
-  check::numbers("turns", rotations, {check::ANY, check::ANY, 4});
-  check::shape("numbers", pose_indices, {count});
-  check::numbers("places", offsets, {count, 3});
-  check::numbers("before", pre_rotations, {count, 4});
-  check::numbers("rest", rest_rotations, {count, 4});
+  check::at_most("joint_rotations", frames * moving_count, check::MAX_ROWS);
+  check::numbers("joint_rotations", joint_rotations, {check::ANY, check::ANY, 4});
+  check::shape("pose_indices", pose_indices, {count});
+  check::numbers("positions", positions, {count, 3});
+  check::numbers("pre_rotations", pre_rotations, {count, 4});
+  check::numbers("rest_rotations", rest_rotations, {count, 4});
   check::shape("feet", feet, {2});
-  check::shape("stands", foot_stands, {frames, 2});
-  check::indices("numbers", pose_indices, -1, static_cast<std::int64_t>(moving_count));
+  check::shape("foot_stands", foot_stands, {frames, 2});
+  check::indices("pose_indices", pose_indices, -1, static_cast<std::int64_t>(moving_count));
   check::indices("feet", feet, 0, static_cast<std::int64_t>(count));
   for (std::size_t j = 0; j < count; ++j)
     check::between("parents", parents.data()[j], -1, static_cast<std::int64_t>(j) - 1);
-  check::between("wide", span_width, 2,
+  check::between("span_width", span_width, 2,
                  static_cast<std::int64_t>(std::max<std::size_t>(frames, 3)) - 1);
-  check::indices("begins", span_starts, 0, static_cast<std::int64_t>(frames) - span_width);
+  check::indices("span_starts", span_starts, 0, static_cast<std::int64_t>(frames) - span_width);
   const std::size_t span_count = span_starts.shape(0),
                     inner_count = static_cast<std::size_t>(span_width) - 1;
   Out<bool, 1> span_fits(span_count);
@@ -122,12 +122,12 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
                                  moving_count,
                                  parents.data(),
                                  pose_indices.data(),
-                                 reinterpret_cast<const Vec*>(offsets.data()),
+                                 reinterpret_cast<const Vec*>(positions.data()),
                                  reinterpret_cast<const Quaternion*>(pre_rotations.data()),
                                  reinterpret_cast<const Quaternion*>(rest_rotations.data())};
-  const Quaternion* poses = reinterpret_cast<const Quaternion*>(rotations.data());
+  const Quaternion* poses = reinterpret_cast<const Quaternion*>(joint_rotations.data());
   std::vector<Quaternion> world(count), pose(moving_count);
-  std::vector<Vec> exact_positions(frames * count), positions(count);
+  std::vector<Vec> exact_positions(frames * count), pose_positions(count);
   for (std::size_t f = 0; f < frames; ++f)
     hierarchy.compute_positions(poses + f * moving_count, world.data(),
                                 exact_positions.data() + f * count);
@@ -146,14 +146,14 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
       const std::size_t frame = first + 1 + index;
       const double fraction = static_cast<double>(index + 1) / static_cast<double>(inner_count + 1);
       interpolation.evaluate(fraction, pose.data());
-      hierarchy.compute_positions(pose.data(), world.data(), positions.data());
+      hierarchy.compute_positions(pose.data(), world.data(), pose_positions.data());
       const Vec* expected_positions = exact_positions.data() + frame * count;
       const bool* is_standing = foot_stands.data() + 2 * frame;
       Vec root_shift{0, 0, 0};
       for (std::size_t side = 0; side < 2; ++side)
         if (is_standing[side])
-          root_shift =
-              root_shift + (expected_positions[foot_joints[side]] - positions[foot_joints[side]]);
+          root_shift = root_shift +
+                       (expected_positions[foot_joints[side]] - pose_positions[foot_joints[side]]);
       if (is_standing[0] && is_standing[1])
         root_shift = {root_shift.x / 2, root_shift.y / 2, root_shift.z / 2};
       double* shift_row = root_shifts.get() + 3 * (s * inner_count + index);
@@ -161,11 +161,11 @@ std::tuple<Out<bool, 1>, Out<double, 3>> fitting_spans(
       fits_span = squared_length(root_shift) <= max_root_shift * max_root_shift;
       for (std::size_t side = 0; fits_span && side < 2; ++side)
         fits_span =
-            !is_standing[side] ||
-            squared_length(expected_positions[foot_joints[side]] - positions[foot_joints[side]] -
-                           root_shift) <= max_foot_error * max_foot_error;
+            !is_standing[side] || squared_length(expected_positions[foot_joints[side]] -
+                                                 pose_positions[foot_joints[side]] - root_shift) <=
+                                      max_foot_error * max_foot_error;
       for (std::size_t j = 0; fits_span && j < count; ++j)
-        fits_span = squared_length(expected_positions[j] - positions[j] - root_shift) <=
+        fits_span = squared_length(expected_positions[j] - pose_positions[j] - root_shift) <=
                     max_joint_error * max_joint_error;
     }
     span_fits.get()[s] = fits_span;

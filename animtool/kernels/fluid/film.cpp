@@ -195,7 +195,7 @@ double FreeSurface::add_block_area(std::size_t block) {
         largest = std::max(largest, colours[n]), smallest = std::min(smallest, colours[n]);
       }
   if (largest == smallest) return 0;
-  const double quarter = 0.25 / cell_size_;
+  const double gradient_scale = 0.25 / cell_size_;
   double sum = 0;
   for (int x = 0; x < BLOCK_SIDE; ++x)
     for (int y = 0; y < BLOCK_SIDE; ++y)
@@ -205,12 +205,12 @@ double FreeSurface::add_block_area(std::size_t block) {
         // Along the four diagonals of the cell.
         const double p = c[X_STRIDE + Y_STRIDE + 1] - c[0], q = c[X_STRIDE + Y_STRIDE] - c[1],
                      r = c[X_STRIDE + 1] - c[Y_STRIDE], s = c[X_STRIDE] - c[Y_STRIDE + 1];
-        const double gx = quarter * (p + q + r + s), gy = quarter * (p + q - r - s),
-                     gz = quarter * (p - q + r - s);
+        const double gx = gradient_scale * (p + q + r + s), gy = gradient_scale * (p + q - r - s),
+                     gz = gradient_scale * (p - q + r - s);
         const double squared_gradient = gx * gx + gy * gy + gz * gz;
         if (!(squared_gradient > 0)) continue;
         const double magnitude = std::sqrt(squared_gradient + min_gradient_ * min_gradient_),
-                     scale = quarter / magnitude;
+                     scale = gradient_scale / magnitude;
         sum += magnitude - min_gradient_;
         const double ux = gx * scale, uy = gy * scale, uz = gz * scale;
         const double dp = ux + uy + uz, dq = ux + uy - uz, dr = ux - uy + uz, ds = ux - uy - uz;

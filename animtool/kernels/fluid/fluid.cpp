@@ -590,8 +590,8 @@ fluid::FluidConstants read_constants(double spacing, double density, double visc
                                      double tension) {
   check::positive("spacing", spacing);
   check::positive("density", density);
-  check::not_negative("viscosity", viscosity);
-  check::not_negative("tension", tension);
+  check::non_negative("viscosity", viscosity);
+  check::non_negative("tension", tension);
   return {spacing, density, viscosity, tension};
 }
 
@@ -610,7 +610,7 @@ FluidStepResult fluid_steps(ColliderArrays colliders, In<std::int32_t, 1> owners
   check::shape("state", state, {2, check::ANY, 3});
   check::shape("accelerations", accelerations, {count, 3});
   check::at_most("state", count, check::MAX_ROWS);
-  check::positive("sound", sound_speed);
+  check::positive("sound_speed", sound_speed);
   check::positive("step", step);
   check::between("substeps", substeps, 1, 1 << 24);
   const fluid::FluidConstants constants = read_constants(spacing, density, viscosity, tension);

@@ -600,8 +600,8 @@ IkFitResult fit_ik(const IkFitArguments& arguments) {
   check::at_most("path", frame_count, check::MAX_ROWS);
   check_targets("targets", task, frame_count, targets);
   check::positive("anchor", anchor);
-  check::not_negative("speed", speed);
-  check::not_negative("acceleration", acceleration);
+  check::non_negative("speed", speed);
+  check::non_negative("acceleration", acceleration);
   check::between("homing", rest_return_fraction, 0, 1);
   if (!(robust_scale > 0)) check::refuse("robust", check::text(robust_scale) + " is not above 0");
   check::between("end", end, 0, frame_count);

@@ -96,7 +96,7 @@ Out<std::int64_t, 1> cheapest_ik_path(In<std::int64_t, 2> nodes, In<double, 2> n
   if (!path_count) check::refuse("paths", "the array is empty");
   check::shape("costs", costs, {path_count, frame_count});
   check_steps("drifts", drifts, frame_count, chain.dof_count);
-  check::shape("easy", free_step,
+  check::shape("free_step", free_step,
                {std::max<std::size_t>(free_step.shape(0), frame_count ? frame_count - 1 : 0)});
   Out<std::int64_t, 1> chosen_paths(frame_count);
   find_cheapest(chain, paths.data(), costs.data(), drifts.data(), free_step.data(), path_count,

@@ -198,7 +198,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
   check::shape("goal_numbers", goal_numbers, {goals.shape(0), GOAL_NUMBERS});
   check::at_most("goals", goals.shape(0), MAX_GOALS);
   check::finite("goal_numbers", goal_numbers);
-  check::not_negative("rest_weight", rest_weight);
+  check::non_negative("rest_weight", rest_weight);
   Task task;
   task.chain = read_chain(nodes, numbers);
   task.rest_weight = rest_weight;
@@ -210,7 +210,7 @@ Task read_task(const In<std::int64_t, 2>& nodes, const In<double, 2>& numbers,
     check::indices("goals", row + 1, 2, -1, count);
     check::indices("goals", row + 3, 1, 0, static_cast<std::int64_t>(goals.shape(0)));
     for (int component = 0; component < COMPONENT_COUNT; ++component)
-      check::not_negative("goal_numbers", values[9 + component]);
+      check::non_negative("goal_numbers", values[9 + component]);
     Goal goal;
     goal.node = static_cast<int>(row[0]);
     goal.root = static_cast<int>(row[1]);
@@ -252,9 +252,9 @@ void check_targets(const char* name, const Task& task, std::size_t batch_size,
 }
 
 void check_tolerances(double length, double angle, double damping) {
-  check::not_negative("length_tolerance", length);
-  check::not_negative("angle_tolerance", angle);
-  check::not_negative("damping", damping);
+  check::non_negative("length_tolerance", length);
+  check::non_negative("angle_tolerance", angle);
+  check::non_negative("damping", damping);
 }
 
 void check_steps(const char* name, const In<double, 2>& steps, std::size_t frames, int dofs) {

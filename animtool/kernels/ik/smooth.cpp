@@ -497,9 +497,9 @@ IkSmoothResult smooth_ik(const IkSmoothArguments& arrays) {
   check_targets("reachable", task, frames, reachable);
   check::shape("stretches", stretches, {frames, goal_count});
   check_steps("drifts", drifts, frames, task.chain.dof_count);
-  check::not_negative("anchor", anchor);
-  check::not_negative("speed", speed);
-  check::not_negative("acceleration", acceleration);
+  check::non_negative("anchor", anchor);
+  check::non_negative("speed", speed);
+  check::non_negative("acceleration", acceleration);
   check::between("end", end, 0, frames);
   check::between("first", first, 0, end);
   check_tolerances(length_tolerance, angle_tolerance, damping);

@@ -366,9 +366,9 @@ std::tuple<Out<double, 2>, Out<double, 1>, Out<double, 1>> gravity(In<double, 2>
   check::shape("masses", masses, {count});
   check::finite("points", points);
   check::finite("masses", masses);
-  for (std::size_t i = 0; i < count; ++i) check::not_negative("masses", masses.data()[i]);
-  check::not_negative("constant", constant);
-  check::not_negative("softening", softening);
+  for (std::size_t i = 0; i < count; ++i) check::non_negative("masses", masses.data()[i]);
+  check::non_negative("constant", constant);
+  check::non_negative("softening", softening);
   check::between("accuracy", accuracy, 0, 0.1);
   Out<double, 2> accelerations(count, 3);
   Out<double, 1> potentials(count), rates(count);

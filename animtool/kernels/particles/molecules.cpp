@@ -20,24 +20,24 @@ void check_box(const In<double, 1>& box, double max_distance) {
   for (std::size_t k = 0; k < 3; ++k) {
     check::positive("box", box.data()[k]);
     if (!(box.data()[k] >= 2 * max_distance))
-      check::refuse("box", check::text(box.data()[k]) + " is not twice the reach at least");
+      check::refuse("box", check::text(box.data()[k]) + " is not twice the distance at least");
   }
 }
 
 }  // namespace
 
 std::tuple<Out<std::int32_t, 1>, Out<std::int64_t, 1>, Out<std::int32_t, 1>> molecule_pairs(
-    In<double, 2> points, In<double, 1> box, double reach, std::int64_t max_pairs) {
+    In<double, 2> points, In<double, 1> box, double radius, std::int64_t max_pairs) {
   const std::size_t count = check::points("points", points);
   check::finite("points", points);
-  check::positive("reach", reach);
-  check::not_negative("max_pairs", static_cast<double>(max_pairs));
-  check_box(box, reach);
+  check::positive("radius", radius);
+  check::non_negative("max_pairs", static_cast<double>(max_pairs));
+  check_box(box, radius);
   Out<std::int32_t, 1> order(count);
   Out<std::int64_t, 1> starts(count + 1);
   std::vector<std::int32_t> pair_partners;
   const double low[3] = {0, 0, 0};
-  const Neighbours grid(points.data(), nullptr, count, reach, low, box.data());
+  const Neighbours grid(points.data(), nullptr, count, radius, low, box.data());
   // In grid order, neighbours are near in memory too.
   const Block<std::int32_t> ranks = block<std::int32_t>(count);
   std::int32_t rank = 0;
@@ -93,7 +93,7 @@ std::tuple<Out<double, 2>, Out<double, 1>, double> molecule_forces(
   }
   check::positive("cutoff", cutoff);
   check::between("onset", onset, 0, cutoff);
-  check::not_negative("damping", damping);
+  check::non_negative("damping", damping);
   check_box(box, cutoff);
   Out<double, 2> result(count, 3);
   Out<double, 1> energies(count);

@@ -49,7 +49,7 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
   check::at_most("inertias", count, check::MAX_ROWS);
   check::at_most("bodies", shape_count, check::MAX_ROWS);
   check::indices("bodies", bodies, 0, static_cast<std::int64_t>(count));
-  check::numbers("numbers", shape_numbers, {shape_count, 3});
+  check::numbers("shape_numbers", shape_numbers, {shape_count, 3});
   check::numbers("points", points, {check::ANY, 3});
   check_starts("point_starts", point_starts, shape_count, points.shape(0));
   const std::size_t face_count = corner_starts.shape(0) ? corner_starts.shape(0) - 1 : 0;
@@ -61,7 +61,7 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     check::positive("inertias", inertia[0]);
     world_.bodies[i].inverse_mass = 1 / inertia[0];
     for (int k = 0; k < 3; ++k) {
-      check::not_negative("inertias", inertia[k + 1]);
+      check::non_negative("inertias", inertia[k + 1]);
       world_.bodies[i].inverse_inertia.entries[k] = inertia[k + 1] > 0 ? 1 / inertia[k + 1] : 0;
     }
   }
@@ -71,9 +71,9 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     shape.body = static_cast<std::size_t>(bodies.data()[s]);
     if (s && shape.body < world_.shapes[s - 1].body) check::refuse("bodies", "they do not ascend");
     const double* n = shape_numbers.data() + 3 * s;
-    check::not_negative("numbers", n[0]);
-    check::between("numbers", n[1], 0, 1);
-    check::not_negative("numbers", n[2]);
+    check::non_negative("shape_numbers", n[0]);
+    check::between("shape_numbers", n[1], 0, 1);
+    check::non_negative("shape_numbers", n[2]);
     shape.core.radius = n[0], shape.material = {n[1], n[2]};
     const std::int64_t first_point = point_starts.data()[s], end_point = point_starts.data()[s + 1];
     if (first_point == end_point) check::refuse("point_starts", "a shape has no points");
@@ -95,12 +95,12 @@ RigidBodies::RigidBodies(In<double, 2> inertias, In<std::int64_t, 1> bodies,
     body.bounding_radius = std::max(body.bounding_radius, shape.core.bounding_radius);
   }
   read_joints(joints, joint_numbers);
-  check::shape("excluded", excluded_pairs, {check::ANY, 2});
-  check::at_most("excluded", excluded_pairs.shape(0), check::MAX_ROWS);
+  check::shape("excluded_pairs", excluded_pairs, {check::ANY, 2});
+  check::at_most("excluded_pairs", excluded_pairs.shape(0), check::MAX_ROWS);
   for (std::size_t k = 0; k < excluded_pairs.shape(0); ++k) {
-    check::between("excluded", excluded_pairs.data()[2 * k], 0,
+    check::between("excluded_pairs", excluded_pairs.data()[2 * k], 0,
                    static_cast<std::int64_t>(count) - 1);
-    check::between("excluded", excluded_pairs.data()[2 * k + 1], 0,
+    check::between("excluded_pairs", excluded_pairs.data()[2 * k + 1], 0,
                    static_cast<std::int64_t>(count + check::MAX_ROWS));
   }
   for (std::size_t k = 0; k < excluded_pairs.shape(0); ++k)
@@ -129,8 +129,8 @@ void RigidBodies::read_joints(const In<std::int64_t, 2>& joints, const In<double
     joint.low_limit = n[14], joint.high_limit = n[15], joint.swing[0] = n[16],
     joint.swing[1] = n[17];
     joint.target = n[18], joint.target_rotation = read_rotation(n + 19);
-    check::not_negative("joint_numbers", n[23]);
-    check::not_negative("joint_numbers", n[24]);
+    check::non_negative("joint_numbers", n[23]);
+    check::non_negative("joint_numbers", n[24]);
     joint.stiffness = n[23], joint.damping = n[24], joint.max_force = n[25];
     joint.speed = n[26];
     world_.joints.push_back(joint);
@@ -161,9 +161,9 @@ RigidStepResult step_rigid(const RigidBodies& bodies, In<double, 2> state,
   check::between("method", method, 0, 3);
   check::between("substeps", substeps, 1, 1000);
   check::between("max_iterations", max_iterations, 1, 100000);
-  check::not_negative("tolerance", tolerance);
-  check::not_negative("sleep_speed", sleep_speed);
-  check::not_negative("sleep_time", sleep_time);
+  check::non_negative("tolerance", tolerance);
+  check::non_negative("sleep_speed", sleep_speed);
+  check::non_negative("sleep_time", sleep_time);
   const std::vector<collide::Collider> world_colliders = read_colliders(colliders);
   const auto shape_count = static_cast<std::int64_t>(world.shapes.size());
   std::vector<rigid::State> states(count);
@@ -180,9 +180,9 @@ RigidStepResult step_rigid(const RigidBodies& bodies, In<double, 2> state,
                    shape_count + static_cast<std::int64_t>(world_colliders.size()) - 1);
     stored_contacts[i] = {pair[0], pair[1], load(contacts.data() + CONTACT_SIZE * i),
                           load(contacts.data() + CONTACT_SIZE * i + 3)};
-    if (i && (stored_contacts[i].first != stored_contacts[i - 1].first
-                  ? stored_contacts[i].first < stored_contacts[i - 1].first
-                  : stored_contacts[i].second < stored_contacts[i - 1].second))
+    if (i && (stored_contacts[i].first_shape != stored_contacts[i - 1].first_shape
+                  ? stored_contacts[i].first_shape < stored_contacts[i - 1].first_shape
+                  : stored_contacts[i].second_shape < stored_contacts[i - 1].second_shape))
       check::refuse("pairs", "they do not ascend");
   }
   std::vector<std::array<double, rigid::JOINT_SLOT_COUNT>> impulses(joint_count);
@@ -219,28 +219,21 @@ RigidStepResult step_rigid(const RigidBodies& bodies, In<double, 2> state,
     row[6] = body_state.rotation.w, row[13] = body_state.slow_time;
   }
   for (std::size_t i = 0; i < stored_contacts.size(); ++i) {
-    contact_pairs.get()[2 * i] = stored_contacts[i].first,
-                            contact_pairs.get()[2 * i + 1] = stored_contacts[i].second;
+    contact_pairs.get()[2 * i] = stored_contacts[i].first_shape,
+                            contact_pairs.get()[2 * i + 1] = stored_contacts[i].second_shape;
     store(stored_contacts[i].position, contact_rows.get() + CONTACT_SIZE * i),
         store(stored_contacts[i].force, contact_rows.get() + CONTACT_SIZE * i + 3);
   }
   for (std::size_t k = 0; k < joint_count; ++k)
     std::copy_n(impulses[k].begin(), rigid::JOINT_SLOT_COUNT,
                 joint_rows.get() + rigid::JOINT_SLOT_COUNT * k);
-  return {std::move(new_states),
-          std::move(contact_pairs),
-          std::move(contact_rows),
-          std::move(joint_rows),
-          report.max_depth,
-          report.residual,
-          report.contact_count,
-          report.iteration_count,
-          report.awake_count,
-          report.unsolved_count,
-          report.first,
-          report.second,
-          report.drive_step,
-          report.drive};
+  return {std::move(new_states),   std::move(contact_pairs),
+          std::move(contact_rows), std::move(joint_rows),
+          report.max_depth,        report.residual,
+          report.contact_count,    report.iteration_count,
+          report.awake_count,      report.unsolved_count,
+          report.first_shape,      report.second_shape,
+          report.drive_step,       report.drive};
 }
 
 }  // namespace animtool

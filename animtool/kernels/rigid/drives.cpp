@@ -24,14 +24,14 @@ constexpr double REDUNDANT_INDEPENDENCE = 1e-9, FIXED_MASS_FACTOR = 1e6;
 // the second value, a drive does not move the mass behind it.
 constexpr double WELL_CONDITIONED_INDEPENDENCE = 0.02, MIN_INDEPENDENCE = 1e-3;
 
-// Response of x'' = pull - stiffness x - damping x' after time 1, from rest at 0, or with an
-// initial speed.
+// Response of x'' = acceleration - stiffness x - damping x' after time 1, from rest at 0, or with
+// an initial speed.
 struct Response {
-  double pull_response;     // twice the displacement by a pull
-  double speed_response;    // displacement by an initial speed
-  double speed_decay;       // of the initial speed
-  double mass_excess;       // 1 / pull_response - 1
-  double response_deficit;  // 1 - speed_response / pull_response
+  double acceleration_response;  // twice the displacement by a constant acceleration
+  double speed_response;         // displacement by an initial speed
+  double speed_decay;            // of the initial speed
+  double mass_excess;            // 1 / acceleration_response - 1
+  double response_deficit;       // 1 - speed_response / acceleration_response
 };
 
 Response compute_response(double stiffness, double damping) {
@@ -55,7 +55,7 @@ Response compute_response(double stiffness, double damping) {
     const double r = std::sqrt(-discriminant), fast_rate = z + r, slow_rate = stiffness / fast_rate;
     const double slow_decay = std::exp(-slow_rate), fast_decay = std::exp(-fast_rate);
     const double mean = slow_rate > 1e-8 ? -std::expm1(-slow_rate) / slow_rate : 1 - slow_rate / 2;
-    response.pull_response = (mean + std::expm1(-fast_rate) / fast_rate) / r;
+    response.acceleration_response = (mean + std::expm1(-fast_rate) / fast_rate) / r;
     response.speed_response = (slow_decay - fast_decay) / (2 * r);
     response.speed_decay = (fast_rate * fast_decay - slow_rate * slow_decay) / (2 * r);
   } else {
@@ -66,11 +66,11 @@ Response compute_response(double stiffness, double damping) {
     response.speed_response = envelope * sine;
     response.speed_decay =
         envelope * (is_oscillating ? std::cos(r) : std::cosh(r)) - z * response.speed_response;
-    response.pull_response =
+    response.acceleration_response =
         2 * (1 - response.speed_decay - damping * response.speed_response) / stiffness;
   }
-  response.mass_excess = 1 / response.pull_response - 1,
-  response.response_deficit = 1 - response.speed_response / response.pull_response;
+  response.mass_excess = 1 / response.acceleration_response - 1,
+  response.response_deficit = 1 - response.speed_response / response.acceleration_response;
   return response;
 }
 
@@ -212,35 +212,37 @@ double drive_frequency(const Joint& joint, double mass, double time) {
 
 void begin_drive(const Joint& joint, Drive& drive, Row& row, double speed, double h) {
   drive.speed = speed, drive.error = row.error;
-  const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
+  const double force = joint.stiffness * row.error - joint.damping * joint.speed;
   const double mass = drive.mass;
   if (!is_resolved(joint, drive, h)) {
     row.speed_gain = h / 2 * (joint.damping + h * joint.stiffness),
-    row.position_impulse = h / 2 * pull;
+    row.position_impulse = h / 2 * force;
     return limit_impulse(drive, row);
   }
   const Response response =
       compute_response(joint.stiffness / mass * h * h, joint.damping / mass * h);
   row.speed_gain = mass * response.mass_excess;
-  row.position_impulse = mass * response.response_deficit * speed + h / 2 * pull;
+  row.position_impulse = mass * response.response_deficit * speed + h / 2 * force;
   limit_impulse(drive, row);
 }
 
 void end_drive(const Joint& joint, const Drive& drive, Row& row, double speed, double h) {
   const double mass = drive.mass;
   if (!is_resolved(joint, drive, h)) {
-    const double pull = joint.stiffness * row.error - joint.damping * joint.speed;
-    row.speed_gain = h * (joint.damping + h * joint.stiffness), row.position_impulse = h * pull;
+    const double force = joint.stiffness * row.error - joint.damping * joint.speed;
+    row.speed_gain = h * (joint.damping + h * joint.stiffness), row.position_impulse = h * force;
     return limit_impulse(drive, row);
   }
-  const double pull = (joint.stiffness * drive.error - joint.damping * joint.speed) / mass;
+  const double acceleration = (joint.stiffness * drive.error - joint.damping * joint.speed) / mass;
   const Response response =
       compute_response(joint.stiffness / mass * h * h, joint.damping / mass * h);
   const double other_speed = speed - drive.speed - drive.first_impulse / mass;
-  const double end_speed = response.speed_decay * drive.speed - h * response.speed_response * pull +
-                           (2 * response.speed_response - response.pull_response) * other_speed;
+  const double end_speed =
+      response.speed_decay * drive.speed - h * response.speed_response * acceleration +
+      (2 * response.speed_response - response.acceleration_response) * other_speed;
   row.speed_gain = mass * response.mass_excess;
-  row.position_impulse = mass * (speed - end_speed / response.pull_response) - drive.first_impulse;
+  row.position_impulse =
+      mass * (speed - end_speed / response.acceleration_response) - drive.first_impulse;
   limit_impulse(drive, row);
 }
 

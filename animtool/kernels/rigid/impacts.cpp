@@ -22,10 +22,10 @@ constexpr double ENERGY_ROUNDING = 1e-13;
 
 }  // namespace
 
-Impacts::Impacts(const World& world, const std::vector<Patch>& patches,
-                 const std::vector<Point>& points, const std::vector<std::size_t>& joints,
-                 const std::vector<Rows>& rows, std::vector<Speed>& speeds, double tolerance,
-                 double max_arrival_time)
+ImpactSolver::ImpactSolver(const World& world, const std::vector<Patch>& patches,
+                           const std::vector<Point>& points, const std::vector<std::size_t>& joints,
+                           const std::vector<Rows>& rows, std::vector<Speed>& speeds,
+                           double tolerance, double max_arrival_time)
     : world_(world),
       patches_(patches),
       points_(points),
@@ -35,8 +35,8 @@ Impacts::Impacts(const World& world, const std::vector<Patch>& patches,
       tolerance_(tolerance),
       max_arrival_time_(max_arrival_time) {}
 
-void Impacts::run(const std::function<double(const Patch&)>& rest_speed,
-                  std::vector<char>& is_pushed) {
+void ImpactSolver::run(const std::function<double(const Patch&)>& rest_speed,
+                       std::vector<char>& is_pushed) {
   list_patches();
   std::vector<double> speeds(patches_.size());
   const auto update_speed = [&](std::size_t k) {
@@ -72,7 +72,7 @@ void Impacts::run(const std::function<double(const Patch&)>& rest_speed,
 }
 
 // Lists the patches of each body.
-void Impacts::list_patches() {
+void ImpactSolver::list_patches() {
   const std::size_t count = world_.bodies.size();
   patch_starts_.assign(count + 2, 0);
   for (const Patch& patch : patches_) {
@@ -88,13 +88,13 @@ void Impacts::list_patches() {
 }
 
 // Whether a point is in contact, or arrives immediately.
-bool Impacts::is_touching(const Patch& patch, const Point& p) const {
+bool ImpactSolver::is_touching(const Patch& patch, const Point& p) const {
   if (p.current_gap <= TOUCH_DISTANCE * world_.bodies[patch.a].bounding_radius) return true;
   return p.current_gap <= -speed_along(speeds_, patch, p, 0) * max_arrival_time_;
 }
 
 // Approach speed of a pair of bodies at a patch.
-double Impacts::approach_speed(const Patch& patch) const {
+double ImpactSolver::approach_speed(const Patch& patch) const {
   double max_speed = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k)
     if (is_touching(patch, points_[k]))
@@ -103,7 +103,7 @@ double Impacts::approach_speed(const Patch& patch) const {
 }
 
 // Adds the equations of a patch: along the normal and, with friction, along the tangents.
-void Impacts::add_patch_equations(const Patch& patch, double rest_speed) {
+void ImpactSolver::add_patch_equations(const Patch& patch, double rest_speed) {
   bodies_.push_back(patch.a);
   if (patch.b < world_.bodies.size()) bodies_.push_back(patch.b);
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
@@ -127,7 +127,7 @@ void Impacts::add_patch_equations(const Patch& patch, double rest_speed) {
 }
 
 // Adds the joints and bodies that are connected to those of an impact.
-void Impacts::add_joint_equations() {
+void ImpactSolver::add_joint_equations() {
   const auto is_body_included = [&](std::size_t i) {
     return std::find(bodies_.begin(), bodies_.end(), i) != bodies_.end();
   };
@@ -163,19 +163,19 @@ void Impacts::add_joint_equations() {
   bodies_.erase(std::unique(bodies_.begin(), bodies_.end()), bodies_.end());
 }
 
-double Impacts::speed_of(const Equation& equation) const {
+double ImpactSolver::speed_of(const Equation& equation) const {
   const Speed &a = speeds_[equation.a], &b = speeds_[equation.b];
   return dot(equation.line, b.v - a.v) + dot(equation.arm_b, b.w) - dot(equation.arm_a, a.w) +
          equation.bias_speed;
 }
 
-void Impacts::add_impulse(Equation& equation, double impulse) {
+void ImpactSolver::add_impulse(Equation& equation, double impulse) {
   equation.impulse += impulse;
   apply(speeds_, equation.a, equation.b, equation.line, equation.response_a, equation.response_b,
         impulse);
 }
 
-void Impacts::solve(double speed) {
+void ImpactSolver::solve(double speed) {
   const int joint_equation_count = static_cast<int>(std::count_if(
       equations_.begin(), equations_.end(), [](const Equation& p) { return p.is_joint; }));
   const int max_iterations = BASE_ITERATIONS + ITERATIONS_PER_JOINT * joint_equation_count;
@@ -216,7 +216,7 @@ void Impacts::solve(double speed) {
 
 // Scales an impact so that energy does not grow, except for what colliders and animation add: along
 // the impulses, energy is a parabola.
-void Impacts::bound_energy() {
+void ImpactSolver::bound_energy() {
   double slope = 0, quadratic = 0, energy = 0;
   for (std::size_t i = 0; i < bodies_.size(); ++i) {
     const Body& body = world_.bodies[bodies_[i]];

@@ -16,13 +16,14 @@ namespace animtool::rigid {
 constexpr double TOUCH_DISTANCE = 1e-4;
 
 // Solves the impacts of an island.
-class Impacts {
+class ImpactSolver {
  public:
   // The island is given by its patches and points, and the rows of its joints. Approaches slower
   // than a tolerance [m/s] are ignored; arrivals within a time [s] count as contact.
-  Impacts(const World& world, const std::vector<Patch>& patches, const std::vector<Point>& points,
-          const std::vector<std::size_t>& joints, const std::vector<Rows>& rows,
-          std::vector<Speed>& speeds, double tolerance, double max_arrival_time);
+  ImpactSolver(const World& world, const std::vector<Patch>& patches,
+               const std::vector<Point>& points, const std::vector<std::size_t>& joints,
+               const std::vector<Rows>& rows, std::vector<Speed>& speeds, double tolerance,
+               double max_arrival_time);
 
   // Changes velocities, and marks the bodies that were pushed. Patches slower than `rest_speed` do
   // not bounce.

@@ -37,11 +37,11 @@ class RowBuilder {
   }
 
   // Makes a row a limit, or a drive.
-  static void make_limit(Row& row) {
+  static void set_limit(Row& row) {
     row.kind = Row::LIMIT;
     row.min_impulse = 0;
   }
-  void make_drive(Row& row, const Joint& joint) const {
+  void set_drive(Row& row, const Joint& joint) const {
     row.kind = Row::DRIVE;
     row.max_impulse = joint.max_force < 0 ? INF : joint.max_force * h_;
     row.min_impulse = -row.max_impulse;
@@ -97,15 +97,15 @@ Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a,
   if (is_slide) {
     const double slide_distance = dot(x, offset), bias_speed = -dot(x, anchor_velocity);
     if (has_limit) {
-      builder.make_limit(builder.add_linear(x, slide_arm, arm_b, slide_distance - joint.low_limit,
-                                            bias_speed, SLOT_LOW));
-      builder.make_limit(builder.add_linear(-x, slide_arm, arm_b, joint.high_limit - slide_distance,
-                                            -bias_speed, SLOT_HIGH));
+      builder.set_limit(builder.add_linear(x, slide_arm, arm_b, slide_distance - joint.low_limit,
+                                           bias_speed, SLOT_LOW));
+      builder.set_limit(builder.add_linear(-x, slide_arm, arm_b, joint.high_limit - slide_distance,
+                                           -bias_speed, SLOT_HIGH));
     }
     if (has_drive(joint))
-      builder.make_drive(builder.add_linear(x, slide_arm, arm_b, slide_distance - joint.target,
-                                            bias_speed, SLOT_DRIVE),
-                         joint);
+      builder.set_drive(builder.add_linear(x, slide_arm, arm_b, slide_distance - joint.target,
+                                           bias_speed, SLOT_DRIVE),
+                        joint);
     return builder.rows;
   }
   if (joint.kind == JointKind::FIXED) return builder.rows;
@@ -125,9 +125,9 @@ Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a,
       is_ball && one_plus_cosine > 1e-6 ? (x + twisted_axis) * (1 / one_plus_cosine) : x;
   if (has_limit) {
     const double bias_speed = -dot(axis, a.angular_velocity);
-    builder.make_limit(
+    builder.set_limit(
         builder.add_angular(axis, twist_angle - joint.low_limit, bias_speed, SLOT_LOW));
-    builder.make_limit(
+    builder.set_limit(
         builder.add_angular(-axis, joint.high_limit - twist_angle, -bias_speed, SLOT_HIGH));
   }
   if (is_ball && joint.swing[0] >= 0) {
@@ -139,13 +139,13 @@ Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a,
       const double u = local_swing.y * joint.swing[1], v = local_swing.z * joint.swing[0];
       const double norm = std::sqrt(u * u + v * v);
       const double limit_angle = norm > 0 ? joint.swing[0] * joint.swing[1] / norm : 0;
-      builder.make_limit(builder.add_angular(-swing_direction, limit_angle - angle,
-                                             dot(swing_direction, a.angular_velocity), SLOT_SWING));
+      builder.set_limit(builder.add_angular(-swing_direction, limit_angle - angle,
+                                            dot(swing_direction, a.angular_velocity), SLOT_SWING));
     }
   }
   if (!has_drive(joint)) return builder.rows;
   if (!is_ball) {
-    builder.make_drive(
+    builder.set_drive(
         builder.add_angular(x, twist_angle - joint.target, -dot(x, a.angular_velocity), SLOT_DRIVE),
         joint);
     return builder.rows;
@@ -153,9 +153,9 @@ Rows build_rows(const Joint& joint, const Anchor& a, const Anchor& b, Vec arm_a,
   const Vec error =
       rotate(a.rotation, rotation_vector(relative_rotation * conjugate(joint.target_rotation)));
   for (int i = 0; i < 3; ++i)
-    builder.make_drive(builder.add_angular(axes[i], dot(axes[i], error),
-                                           -dot(axes[i], a.angular_velocity), SLOT_DRIVE + i),
-                       joint);
+    builder.set_drive(builder.add_angular(axes[i], dot(axes[i], error),
+                                          -dot(axes[i], a.angular_velocity), SLOT_DRIVE + i),
+                      joint);
   return builder.rows;
 }
 

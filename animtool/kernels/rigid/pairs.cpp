@@ -206,7 +206,8 @@ class ContactFinder {
       }
     }
     std::stable_sort(contacts_.begin(), contacts_.end(), [](const Contact& a, const Contact& b) {
-      return a.first != b.first ? a.first < b.first : a.second < b.second;
+      return a.first_shape != b.first_shape ? a.first_shape < b.first_shape
+                                            : a.second_shape < b.second_shape;
     });
     return std::move(contacts_);
   }
@@ -314,8 +315,8 @@ class ContactFinder {
                         max_displacement);
     }
     if (!contact.count) return;
-    contact.first = i, contact.second = static_cast<std::int64_t>(box_owners_[j]);
-    contact.a = a, contact.b = is_collider ? -1 : static_cast<std::ptrdiff_t>(b);
+    contact.first_shape = i, contact.second_shape = static_cast<std::int64_t>(box_owners_[j]);
+    contact.body_a = a, contact.body_b = is_collider ? -1 : static_cast<std::ptrdiff_t>(b);
     Material other_material;
     if (is_collider) {
       const Collider& c = colliders_[box_owners_[j] - shape_count()];
@@ -363,10 +364,10 @@ class ContactFinder {
   void add_contact(std::size_t s, std::size_t c, const Manifold& manifold) {
     Contact contact;
     const Collider& collider = colliders_[c];
-    contact.first = s, contact.second = static_cast<std::int64_t>(shape_count() + c);
-    contact.a = world_.shapes[s].body, contact.b = -1;
+    contact.first_shape = s, contact.second_shape = static_cast<std::int64_t>(shape_count() + c);
+    contact.body_a = world_.shapes[s].body, contact.body_b = -1;
     contact.radius = world_.shapes[s].core.radius;
-    contact.set_manifold(manifold, body_poses_[contact.a], collider.motion.pose_at(0));
+    contact.set_manifold(manifold, body_poses_[contact.body_a], collider.motion.pose_at(0));
     contact.motion = &collider.motion;
     contact.depenetration = collider.depenetration;
     contact.material =

@@ -28,15 +28,16 @@ bool Solver::has_bounces() {
   update_contacts();
   for (const Contact& c : contacts_) {
     if (!(c.material.restitution > 0)) continue;
-    const State& a = states_[c.a];
-    const std::size_t b = c.b < 0 ? body_count_ : static_cast<std::size_t>(c.b);
-    const Vec spin = angular_velocity_of(world_.bodies[c.a], a);
-    const Pose pose = pose_of(a), other_pose = c.b < 0 ? c.motion->pose_at(0) : pose_of(states_[b]);
-    const double min_speed = rest_speed(c.a, b, c.material.restitution);
+    const State& a = states_[c.body_a];
+    const std::size_t b = c.body_b < 0 ? body_count_ : static_cast<std::size_t>(c.body_b);
+    const Vec spin = angular_velocity_of(world_.bodies[c.body_a], a);
+    const Pose pose = pose_of(a),
+               other_pose = c.body_b < 0 ? c.motion->pose_at(0) : pose_of(states_[b]);
+    const double min_speed = rest_speed(c.body_a, b, c.material.restitution);
     for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
       const Vec velocity_a = a.velocity + cross(spin, pose.rotate(c.local_a[k]));
       const Vec velocity_b =
-          c.b < 0
+          c.body_b < 0
               ? c.motion->displacement(other_pose.to_world(c.local_b[k]), other_pose) * (1 / step_)
               : states_[b].velocity + cross(angular_velocity_of(world_.bodies[b], states_[b]),
                                             other_pose.rotate(c.local_b[k]));

@@ -24,8 +24,8 @@ double Solver::time_to_impact(const Island& island, double remaining, double beg
     const double time = mark_bounces(remaining, fraction);
     if (time > contact_time || !(time < remaining)) return time;
     for (const std::size_t i : island.bodies) is_pushed_[i] = 0;
-    Impacts impacts(world_, patches_, points_, island.joints, rows_, speeds_, settings_.tolerance,
-                    contact_time);
+    ImpactSolver impacts(world_, patches_, points_, island.joints, rows_, speeds_,
+                         settings_.tolerance, contact_time);
     impacts.run([&](const Patch& patch) { return rest_speed(patch); }, is_pushed_);
     for (const std::size_t i : island.bodies) store_velocity(i);
   }

@@ -27,14 +27,15 @@ void Solver::count_supports(const Patch& patch) {
         limit * limit;
   }
   const Contact& c = *patch.contact;
-  if (world_.shapes[c.first].core.face_count()) support_counts_[patch.a] += count;
-  if (patch.b < body_count_ && world_.shapes[static_cast<std::size_t>(c.second)].core.face_count())
+  if (world_.shapes[c.first_shape].core.face_count()) support_counts_[patch.a] += count;
+  if (patch.b < body_count_ &&
+      world_.shapes[static_cast<std::size_t>(c.second_shape)].core.face_count())
     support_counts_[patch.b] += count;
 }
 
 void Solver::add_patch(const Contact& c) {
   Patch patch;
-  patch.a = c.a, patch.b = c.b < 0 ? body_count_ : static_cast<std::size_t>(c.b);
+  patch.a = c.body_a, patch.b = c.body_b < 0 ? body_count_ : static_cast<std::size_t>(c.body_b);
   patch.contact = &c;
   const Vec normal = patch.normal = c.normal;
   patch.tangents[0] = collide::orthogonal(normal);
@@ -43,14 +44,14 @@ void Solver::add_patch(const Contact& c) {
   patch.max_push_speed = c.depenetration > 0 ? c.depenetration : MAX_PUSH_SPEED;
   patch.begin = points_.size();
   patch.radius_sum = c.radius + c.other_radius;
-  const double arm_tolerance = ARM_TOLERANCE * world_.bodies[c.a].bounding_radius;
+  const double arm_tolerance = ARM_TOLERANCE * world_.bodies[c.body_a].bounding_radius;
   patch.squared_arm_tolerance = arm_tolerance * arm_tolerance;
-  const Pose& pose_a = poses_[c.a];
-  const Pose fixed_pose = c.b < 0 ? c.motion->pose_at(0) : poses_[patch.b];
+  const Pose& pose_a = poses_[c.body_a];
+  const Pose fixed_pose = c.body_b < 0 ? c.motion->pose_at(0) : poses_[patch.b];
   for (std::size_t k = 0; k < static_cast<std::size_t>(c.count); ++k) {
     Point& p = points_.emplace_back();
     p.local_a = c.local_a[k], p.local_b = c.local_b[k], p.gap = c.gaps[k];
-    const Pose& pose_b = c.b < 0 ? fixed_pose : poses_[patch.b];
+    const Pose& pose_b = c.body_b < 0 ? fixed_pose : poses_[patch.b];
     set_arms(patch, p,
              contact_position(patch, pose_a.to_world(p.local_a), pose_b.to_world(p.local_b)));
   }
@@ -79,19 +80,20 @@ void Solver::set_arms(const Patch& patch, Point& p, Vec position) {
 
 void Solver::match_stored_contacts(Patch& patch) {
   const Contact& c = *patch.contact;
-  const auto first = static_cast<std::int64_t>(c.first);
+  const auto first = static_cast<std::int64_t>(c.first_shape);
   auto begin = std::lower_bound(stored_contacts_.begin(), stored_contacts_.end(), c,
                                 [&](const StoredContact& k, const Contact&) {
-                                  return k.first != first ? k.first < first : k.second < c.second;
+                                  return k.first_shape != first ? k.first_shape < first
+                                                                : k.second_shape < c.second_shape;
                                 });
-  const double match_distance = MAX_MATCH_DISTANCE_RATIO * world_.bodies[c.a].bounding_radius;
+  const double match_distance = MAX_MATCH_DISTANCE_RATIO * world_.bodies[c.body_a].bounding_radius;
   std::uint32_t matched_bits = 0;
   for (std::size_t k = patch.begin; k < patch.end; ++k) {
     Point& p = points_[k];
     double min_squared = match_distance * match_distance;
     int best = -1, i = 0;
-    for (auto it = begin;
-         it != stored_contacts_.end() && it->first == first && it->second == c.second && i < 32;
+    for (auto it = begin; it != stored_contacts_.end() && it->first_shape == first &&
+                          it->second_shape == c.second_shape && i < 32;
          ++it, ++i) {
       const Vec offset = it->position - p.local_a;
       if (!(matched_bits >> i & 1) && dot(offset, offset) < min_squared)
@@ -99,7 +101,7 @@ void Solver::match_stored_contacts(Patch& patch) {
     }
     if (best < 0) continue;
     matched_bits |= 1u << best;
-    const Vec force = poses_[c.a].rotate((begin + best)->force) * h_;
+    const Vec force = poses_[c.body_a].rotate((begin + best)->force) * h_;
     p.force = std::max(dot(force, patch.normal), 0.0);
     p.friction_forces[0] = dot(force, patch.tangents[0]),
     p.friction_forces[1] = dot(force, patch.tangents[1]);
@@ -113,12 +115,12 @@ void Solver::store_patch(const Patch& patch) {
                       patch.tangents[1] * p.friction_forces[1];
     // In the frame of the body at the start of the step, in which it rotates little.
     const Vec local_force = poses_[patch.a].inverse_rotate(force) * (1 / substep_);
-    next_contacts_.push_back({static_cast<std::int64_t>(patch.contact->first),
-                              patch.contact->second, p.local_a, local_force});
+    next_contacts_.push_back({static_cast<std::int64_t>(patch.contact->first_shape),
+                              patch.contact->second_shape, p.local_a, local_force});
     if (-p.current_gap > report_.max_depth) {
       report_.max_depth = -p.current_gap;
-      report_.first = static_cast<std::int64_t>(patch.contact->first);
-      report_.second = patch.contact->second;
+      report_.first_shape = static_cast<std::int64_t>(patch.contact->first_shape);
+      report_.second_shape = patch.contact->second_shape;
     }
     if (p.force > 0) ++report_.contact_count;
   }

@@ -23,18 +23,19 @@ bool Solver::wake_bodies() {
   reset_groups();
   const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
   for (const StoredContact& contact : stored_contacts_)
-    if (contact.second < shapes)
-      groups_.merge(world_.shapes[static_cast<std::size_t>(contact.first)].body,
-                    world_.shapes[static_cast<std::size_t>(contact.second)].body);
+    if (contact.second_shape < shapes)
+      groups_.merge(world_.shapes[static_cast<std::size_t>(contact.first_shape)].body,
+                    world_.shapes[static_cast<std::size_t>(contact.second_shape)].body);
   std::vector<char> is_group_awake(body_count_, 0);
   const auto wake_group = [&](std::size_t i) { is_group_awake[groups_.find_root(i)] = 1; };
   for (std::size_t i = 0; i < body_count_; ++i)
     if (!is_asleep(i)) is_group_awake[groups_.find_root(i)] = 1;
   for (const Contact& c : contacts_) {
-    const auto b = static_cast<std::size_t>(c.b);
-    if (c.b < 0 ? is_asleep(c.a) && c.motion->is_moving() : is_asleep(c.a) != is_asleep(b)) {
-      wake_group(c.a);
-      if (c.b >= 0) wake_group(b);
+    const auto b = static_cast<std::size_t>(c.body_b);
+    if (c.body_b < 0 ? is_asleep(c.body_a) && c.motion->is_moving()
+                     : is_asleep(c.body_a) != is_asleep(b)) {
+      wake_group(c.body_a);
+      if (c.body_b >= 0) wake_group(b);
     }
   }
   for (std::size_t k = 0; k < world_.joints.size(); ++k) {
@@ -53,7 +54,7 @@ bool Solver::wake_bodies() {
 void Solver::build_islands() {
   reset_groups();
   for (const Contact& c : contacts_)
-    if (c.b >= 0) groups_.merge(c.a, static_cast<std::size_t>(c.b));
+    if (c.body_b >= 0) groups_.merge(c.body_a, static_cast<std::size_t>(c.body_b));
   std::vector<std::size_t> island_of_group(body_count_, body_count_);
   for (std::size_t i = 0; i < body_count_; ++i) {
     if (is_asleep(i)) continue;
@@ -63,7 +64,7 @@ void Solver::build_islands() {
     ++report_.awake_count;
   }
   for (std::size_t k = 0; k < contacts_.size(); ++k) {
-    const std::size_t island = island_of_group[groups_.find_root(contacts_[k].a)];
+    const std::size_t island = island_of_group[groups_.find_root(contacts_[k].body_a)];
     if (island < islands_.size()) islands_[island].contacts.push_back(k);
   }
   for (std::size_t k = 0; k < world_.joints.size(); ++k) {
@@ -76,14 +77,15 @@ void Solver::store_contacts() {
   const auto shapes = static_cast<std::int64_t>(world_.shapes.size());
   for (const StoredContact& contact : stored_contacts_) {
     const bool are_asleep =
-        is_asleep(world_.shapes[static_cast<std::size_t>(contact.first)].body) &&
-        (contact.second >= shapes ||
-         is_asleep(world_.shapes[static_cast<std::size_t>(contact.second)].body));
+        is_asleep(world_.shapes[static_cast<std::size_t>(contact.first_shape)].body) &&
+        (contact.second_shape >= shapes ||
+         is_asleep(world_.shapes[static_cast<std::size_t>(contact.second_shape)].body));
     if (are_asleep) next_contacts_.push_back(contact);
   }
   std::stable_sort(next_contacts_.begin(), next_contacts_.end(),
                    [](const StoredContact& a, const StoredContact& b) {
-                     return a.first != b.first ? a.first < b.first : a.second < b.second;
+                     return a.first_shape != b.first_shape ? a.first_shape < b.first_shape
+                                                           : a.second_shape < b.second_shape;
                    });
   stored_contacts_ = std::move(next_contacts_);
 }

@@ -62,15 +62,15 @@ struct State {
 // A contact point that is stored between steps: its position on the first body, and its normal and
 // tangential force.
 struct StoredContact {
-  std::int64_t first, second;  // shapes; colliders are numbered after the shapes
+  std::int64_t first_shape, second_shape;  // colliders are numbered after the shapes
   Vec position, force;
 };
 
 // Result of a step.
 struct Report {
   double max_depth = 0;  // largest penetration [m]
-  std::int64_t first = -1,
-               second =
+  std::int64_t first_shape = -1,
+               second_shape =
                    -1;  // shapes of the deepest contact; colliders are numbered after the shapes
   double residual = 0;  // largest velocity change in the last iteration [m/s]
   std::int64_t
@@ -88,7 +88,8 @@ struct Report {
   // Merges the report of a later substep.
   void add(const Report& later_report) {
     if (later_report.max_depth > max_depth)
-      max_depth = later_report.max_depth, first = later_report.first, second = later_report.second;
+      max_depth = later_report.max_depth, first_shape = later_report.first_shape,
+      second_shape = later_report.second_shape;
     if (later_report.drive >= 0)
       record_drive(later_report.drive_step, static_cast<std::size_t>(later_report.drive));
     residual = std::max(residual, later_report.residual);
@@ -99,10 +100,10 @@ struct Report {
 
 // A pair of a body and another body or a collider that may touch, and its contact points.
 struct Contact {
-  std::size_t first = 0;    // shape
-  std::int64_t second = 0;  // shape, or collider, numbered after the shapes
-  std::size_t a = 0;        // body
-  std::ptrdiff_t b = -1;    // body; -1 for a collider
+  std::size_t first_shape = 0;
+  std::int64_t second_shape = 0;  // or collider, numbered after the shapes
+  std::size_t body_a = 0;
+  std::ptrdiff_t body_b = -1;  // -1 for a collider
   Material material;
   double depenetration = 0;  // largest push-out speed of a collider [m/s]; 0 if unlimited
   const collide::Motion* motion = nullptr;  // of a collider

@@ -133,8 +133,8 @@ MovingColliders::MovingColliders(const std::optional<SpringColliders>& colliders
   colliders_ = read_colliders(arrays);
   check::numbers("colliders.poses", poses,
                  {static_cast<std::size_t>(interval_count), colliders_.size(), 2, 7});
-  check::not_negative("colliders.radius", radius);
-  check::not_negative("colliders.tolerance", inside_tolerance);
+  check::non_negative("colliders.radius", radius);
+  check::non_negative("colliders.tolerance", inside_tolerance);
   if (depths) {
     const bool has_surfaces = depths->shape(0) == colliders_.size() + surfaces.size();
     depth_row_count_ = colliders_.size() + (has_surfaces ? surfaces.size() : 0);

@@ -12,24 +12,24 @@ SpringRun build_run(const SpringNetwork& network, const In<double, 3>& state,
                     const In<std::uint8_t, 1>& is_torn) {
   const std::size_t count = network.particle_count();
   check::shape("state", state, {2, count, 3});
-  check::shape("torn", is_torn, {network.spring_set.springs.size()});
-  check::indices("torn", is_torn, 0, 2);
+  check::shape("is_torn", is_torn, {network.spring_set.springs.size()});
+  check::indices("is_torn", is_torn, 0, 2);
   return {network, state.data(), state.data() + 3 * count, is_torn.data()};
 }
 
 // Checks the intervals of time and the number of substeps.
 void check_intervals(const IntervalGrid& grid, std::int64_t substeps) {
   check::finite("origin", grid.origin);
-  check::between("first", grid.first_interval, -MAX_INTERVAL_INDEX, MAX_INTERVAL_INDEX);
-  check::positive("cell", grid.duration);
+  check::between("first_interval", grid.first_interval, -MAX_INTERVAL_INDEX, MAX_INTERVAL_INDEX);
+  check::positive("interval_duration", grid.duration);
   check::between("substeps", substeps, 1, MAX_SUBSTEPS);
-  check::between("cells", grid.count, 0, MAX_STEPS / substeps);
+  check::between("interval_count", grid.count, 0, MAX_STEPS / substeps);
   // Speeds are displacements over the step length.
   const double h = grid.duration / static_cast<double>(substeps);
   if (!std::isfinite(1 / h) || !std::isfinite(grid.start(0)) ||
       !std::isfinite(grid.start(grid.count)))
-    check::refuse("cell", check::text(grid.duration) + " in " + check::text(substeps) +
-                              " steps is beyond what numbers can tell apart");
+    check::refuse("interval_duration", check::text(grid.duration) + " in " + check::text(substeps) +
+                                           " steps is beyond what numbers can tell apart");
 }
 
 Out<double, 3> copy_state(const SpringRun& run) {

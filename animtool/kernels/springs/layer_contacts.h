@@ -5,16 +5,16 @@
 #include <cstdint>
 #include <vector>
 
+#include "springs/intersections.h"
 #include "springs/separation.h"
-#include "springs/tangles.h"
 
 namespace animtool {
 
-// Two elements that pierce each other, and the side (1 or -1) from which the first came.
-struct Piercing {
+// Two elements that intersect, and the side (1 or -1) from which the first came.
+struct Intersection {
   std::int32_t first, second, side;
 
-  bool operator<(const Piercing& other) const {
+  bool operator<(const Intersection& other) const {
     return std::pair(first, second) < std::pair(other.first, other.second);
   }
 };
@@ -26,8 +26,8 @@ class LayerContacts {
  public:
   using Shape = typename Kind::Shape;
 
-  std::vector<Piercing> piercings;
-  void sort_piercings() { std::sort(piercings.begin(), piercings.end()); }
+  std::vector<Intersection> intersections;
+  void sort_intersections() { std::sort(intersections.begin(), intersections.end()); }
 
   // `list_pairs` lists all pairs within a distance. `filter_near_pairs` picks those that may be
   // near now, given the displacements of particles since they were listed.
@@ -38,11 +38,11 @@ class LayerContacts {
                          const std::vector<double>& displacements, double distance);
 
   // Finds the contacts of a step: `max_travel` is the largest tested relative displacement,
-  // `return_margin` the extra distance of pairs that only return to the contact distance. Tangled
-  // pairs have no known side, and are skipped.
+  // `return_margin` the extra distance of pairs that only return to the contact distance.
+  // Intersecting pairs have no known side, and are skipped.
   void find_contacts(const SpringLayers& layers, const std::vector<double>& before,
                      const std::vector<double>& x, double max_travel, double return_margin,
-                     const Tangles* tangles);
+                     const IntersectionResolver* resolver);
   void clear_contacts() { hits_.clear(); }
   bool has_hits() const { return !hits_.empty(); }
   void separate(const SpringLayers& layers, Separation& separation) const;
@@ -50,11 +50,12 @@ class LayerContacts {
   // the step.
   void collect_tunnelling(const SpringLayers& layers, const std::vector<double>& from,
                           const std::vector<double>& x, const std::vector<std::uint8_t>& is_moved,
-                          const Tangles& tangles, std::vector<LayerHit>& tunnelling) const;
-  // Drops piercings that are resolved, or whose elements moved apart.
+                          const IntersectionResolver& resolver,
+                          std::vector<LayerHit>& tunnelling) const;
+  // Drops intersections that are resolved, or whose elements moved apart.
   void drop_resolved(const SpringLayers& layers, const std::vector<double>& x);
-  // Records the pairs that pierce each other at the end of the step.
-  void record_piercings(const std::vector<double>& before, const std::vector<double>& x);
+  // Records the pairs that intersect at the end of the step.
+  void record_intersections(const std::vector<double>& before, const std::vector<double>& x);
 
  private:
   // The largest relative displacement of two elements in the step.
@@ -64,16 +65,16 @@ class LayerContacts {
   std::int32_t side_of(const LayerHit& hit, const std::vector<double>& before,
                        const std::vector<double>& x) const;
   // Whether the elements are on the wrong side of each other.
-  static bool is_pierced(std::int32_t side, const Shape& current) {
+  static bool is_intersecting(std::int32_t side, const Shape& current) {
     return side * current.height() < 0 && current.nearest().is_interior;
   }
-  // Whether one element has crossed a neighbour of the other, so that its side of the other is
+  // Whether one element intersects a neighbour of the other, so that its side of the other is
   // undefined.
-  bool is_next_to_crossing(const SpringLayers& layers, const LayerHit& hit) const;
+  bool is_next_to_intersection(const SpringLayers& layers, const LayerHit& hit) const;
 
   std::vector<LayerPair> listed_pairs_, near_pairs_;
   std::vector<LayerHit> hits_;
-  Crossings crossings_;
+  Intersections step_intersections_;
 };
 
 template <class Kind>
@@ -103,12 +104,13 @@ template <class Kind>
 void LayerContacts<Kind>::find_contacts(const SpringLayers& layers,
                                         const std::vector<double>& before,
                                         const std::vector<double>& x, double max_travel,
-                                        double return_margin, const Tangles* tangles) {
-  const auto are_tangled = [&](const std::int32_t* first, const std::int32_t* last) {
-    return std::all_of(first, last, [&](std::int32_t n) { return tangles->is_tangled(n); });
+                                        double return_margin,
+                                        const IntersectionResolver* resolver) {
+  const auto are_intersecting = [&](const std::int32_t* first, const std::int32_t* last) {
+    return std::all_of(first, last, [&](std::int32_t n) { return resolver->is_intersecting(n); });
   };
   hits_.clear();
-  crossings_.clear();
+  step_intersections_.clear();
   for (const LayerPair& pair : near_pairs_) {
     const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
     const shapes::Nearest nearest = Shape(particles.data(), x.data()).nearest();
@@ -119,14 +121,15 @@ void LayerContacts<Kind>::find_contacts(const SpringLayers& layers,
     LayerHit hit{pair.first, pair.second, 0, particles, gap, travel, pair.distance};
     hit.side = side_of(hit, before, x);
     if (!hit.side && !nearest.is_interior) continue;
-    if (tangles && !hit.side &&
-        are_tangled(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
-        are_tangled(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + particles.size()))
+    if (resolver && !hit.side &&
+        are_intersecting(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
+        are_intersecting(&particles[Kind::FIRST_PARTICLE_COUNT],
+                         particles.data() + particles.size()))
       continue;
     hits_.push_back(hit);
-    if (hit.side) Kind::record_crossing(crossings_, hit.first, hit.second);
+    if (hit.side) Kind::record_intersection(step_intersections_, hit.first, hit.second);
   }
-  std::sort(crossings_.begin(), crossings_.end());
+  std::sort(step_intersections_.begin(), step_intersections_.end());
 }
 
 template <class Kind>
@@ -149,33 +152,36 @@ double LayerContacts<Kind>::relative_shift(const FourParticles& particles,
 template <class Kind>
 std::int32_t LayerContacts<Kind>::side_of(const LayerHit& hit, const std::vector<double>& before,
                                           const std::vector<double>& x) const {
-  const auto piercing =
-      std::lower_bound(piercings.begin(), piercings.end(), Piercing{hit.first, hit.second, 0});
-  if (piercing != piercings.end() && piercing->first == hit.first && piercing->second == hit.second)
-    return piercing->side;
+  const auto intersection = std::lower_bound(intersections.begin(), intersections.end(),
+                                             Intersection{hit.first, hit.second, 0});
+  if (intersection != intersections.end() && intersection->first == hit.first &&
+      intersection->second == hit.second)
+    return intersection->side;
   if (hit.gap > hit.relative_travel) return 0;
   return shapes::crossing_side(Shape(hit.particles.data(), before.data()),
                                Shape(hit.particles.data(), x.data()));
 }
 
-// Whether one element has crossed a neighbour of the other, so that its side of the other is
+// Whether one element intersects a neighbour of the other, so that its side of the other is
 // undefined.
 template <class Kind>
-bool LayerContacts<Kind>::is_next_to_crossing(const SpringLayers& layers,
-                                              const LayerHit& hit) const {
-  const auto has_crossed = [&](std::int32_t element, const auto& is_neighbour) {
-    auto crossing = std::lower_bound(crossings_.begin(), crossings_.end(), std::pair(element, -1));
-    for (; crossing != crossings_.end() && crossing->first == element; ++crossing)
-      if (is_neighbour(crossing->second)) return true;
+bool LayerContacts<Kind>::is_next_to_intersection(const SpringLayers& layers,
+                                                  const LayerHit& hit) const {
+  const auto intersects = [&](std::int32_t element, const auto& is_neighbour) {
+    auto intersection = std::lower_bound(step_intersections_.begin(), step_intersections_.end(),
+                                         std::pair(element, -1));
+    for (; intersection != step_intersections_.end() && intersection->first == element;
+         ++intersection)
+      if (is_neighbour(intersection->second)) return true;
     return false;
   };
-  return Kind::is_next_to_crossing(layers, hit.first, hit.second, has_crossed);
+  return Kind::is_next_to_intersection(layers, hit.first, hit.second, intersects);
 }
 
 template <class Kind>
 void LayerContacts<Kind>::separate(const SpringLayers& layers, Separation& separation) const {
   for (const LayerHit& hit : hits_)
-    if (hit.side || crossings_.empty() || !is_next_to_crossing(layers, hit))
+    if (hit.side || step_intersections_.empty() || !is_next_to_intersection(layers, hit))
       separation.separate<Shape>(hit);
 }
 
@@ -184,10 +190,10 @@ void LayerContacts<Kind>::collect_tunnelling(const SpringLayers& layers,
                                              const std::vector<double>& from,
                                              const std::vector<double>& x,
                                              const std::vector<std::uint8_t>& is_moved,
-                                             const Tangles& tangles,
+                                             const IntersectionResolver& resolver,
                                              std::vector<LayerHit>& tunnelling) const {
-  const auto are_tangled = [&](const std::int32_t* first, const std::int32_t* last) {
-    return std::all_of(first, last, [&](std::int32_t n) { return tangles.is_tangled(n); });
+  const auto are_intersecting = [&](const std::int32_t* first, const std::int32_t* last) {
+    return std::all_of(first, last, [&](std::int32_t n) { return resolver.is_intersecting(n); });
   };
   for (const LayerPair& pair : near_pairs_) {
     const FourParticles particles = Kind::particles(layers, pair.first, pair.second);
@@ -199,9 +205,9 @@ void LayerContacts<Kind>::collect_tunnelling(const SpringLayers& layers,
     const std::int32_t side = shapes::passing_side(Shape(particles.data(), from.data()),
                                                    Shape(particles.data(), x.data()));
     if (!side) continue;
-    // Tangled pairs have no known side.
-    if (are_tangled(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
-        are_tangled(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + 4))
+    // Intersecting pairs have no known side.
+    if (are_intersecting(&particles[0], &particles[Kind::FIRST_PARTICLE_COUNT]) &&
+        are_intersecting(&particles[Kind::FIRST_PARTICLE_COUNT], particles.data() + 4))
       continue;
     tunnelling.push_back({pair.first, pair.second, side, particles, 0, 0, pair.distance});
   }
@@ -209,26 +215,27 @@ void LayerContacts<Kind>::collect_tunnelling(const SpringLayers& layers,
 
 template <class Kind>
 void LayerContacts<Kind>::drop_resolved(const SpringLayers& layers, const std::vector<double>& x) {
-  std::erase_if(piercings, [&](const Piercing& piercing) {
-    const Shape current(Kind::particles(layers, piercing.first, piercing.second).data(), x.data());
-    return !is_pierced(piercing.side, current);
+  std::erase_if(intersections, [&](const Intersection& intersection) {
+    const Shape current(Kind::particles(layers, intersection.first, intersection.second).data(),
+                        x.data());
+    return !is_intersecting(intersection.side, current);
   });
 }
 
 template <class Kind>
-void LayerContacts<Kind>::record_piercings(const std::vector<double>& before,
-                                           const std::vector<double>& x) {
-  piercings.clear();
+void LayerContacts<Kind>::record_intersections(const std::vector<double>& before,
+                                               const std::vector<double>& x) {
+  intersections.clear();
   for (const LayerHit& hit : hits_) {
     if (!hit.side && hit.gap > 2 * hit.relative_travel) continue;
     const Shape current(hit.particles.data(), x.data());
     std::int32_t side = hit.side;
     if (side) {
-      if (!is_pierced(side, current)) side = 0;
+      if (!is_intersecting(side, current)) side = 0;
     } else {
       side = shapes::crossing_side(Shape(hit.particles.data(), before.data()), current);
     }
-    if (side) piercings.push_back({hit.first, hit.second, side});
+    if (side) intersections.push_back({hit.first, hit.second, side});
   }
 }
 

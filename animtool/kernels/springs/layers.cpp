@@ -91,10 +91,10 @@ SpringLayers::SpringLayers(const SpringNetwork& network, In<double, 2> rest_posi
       particles_(network.particle_count()),
       corners_(network.triangles),
       adjacent_particle_starts_{0} {
-  check::numbers("rest", rest_positions, {particles_, 3});
+  check::numbers("rest_positions", rest_positions, {particles_, 3});
   check::positive("thickness", thickness);
-  check::not_negative("friction", friction);
-  check::not_negative("speed", separation_speed);
+  check::non_negative("friction", friction);
+  check::non_negative("separation_speed", separation_speed);
   rest_positions_.resize(PARTICLE_STRIDE * particles_);
   for (std::size_t n = 0; n < particles_; ++n)
     std::copy_n(rest_positions.data() + 3 * n, 3, rest_positions_.data() + PARTICLE_STRIDE * n);

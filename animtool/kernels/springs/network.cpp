@@ -34,7 +34,7 @@ void check_column(const char* name, const In<double, 1>& column, std::size_t spr
   check::shape(name, column, {spring_count});
   for (std::size_t s = 0; s < spring_count; ++s) {
     const double value = column.data()[s];
-    if (requires_finite) check::not_negative(name, value);
+    if (requires_finite) check::non_negative(name, value);
     if (!(value >= 0)) check::refuse(name, check::text(value) + " is not 0 or more");
   }
 }
@@ -63,7 +63,7 @@ SpringNetwork::SpringNetwork(const SpringArrays& arrays)
   const std::size_t count = inverse_masses.size(), spring_count = ends.shape(0);
   check::shape("inverse_masses", masses, {count});
   check::at_most("inverse_masses", count, check::MAX_ROWS);
-  for (const double inverse : inverse_masses) check::not_negative("inverse_masses", inverse);
+  for (const double inverse : inverse_masses) check::non_negative("inverse_masses", inverse);
   check::numbers("drags", particle_drags, {count});
   check::shape("ends", ends, {check::ANY, 2});
   check::at_most("ends", spring_count, check::MAX_ROWS);
@@ -136,7 +136,7 @@ void SpringNetwork::set_paths(In<double, 3> pinned_path, In<double, 3> anchor_pa
   pinned_track = std::move(new_pinned_track);
 }
 
-KnotPosition knot_position(const std::vector<double>& knot_times, double t) {
+KnotInterval find_knot_interval(const std::vector<double>& knot_times, double t) {
   if (knot_times.size() == 1 || t <= knot_times.front()) return {0, 0.0};
   if (t >= knot_times.back()) return {knot_times.size() - 1, 0.0};
   const auto after = std::upper_bound(knot_times.begin(), knot_times.end(), t);
@@ -144,14 +144,14 @@ KnotPosition knot_position(const std::vector<double>& knot_times, double t) {
   return {row, (t - knot_times[row]) / (knot_times[row + 1] - knot_times[row])};
 }
 
-void SpringNetwork::sample_track(const Track& track, const KnotPosition& position, double* out) {
+void SpringNetwork::sample_track(const Track& track, const KnotInterval& interval, double* out) {
   const std::size_t width = 3 * track.points;
-  const double* a = track.positions.data() + (track.is_constant ? 0 : position.knot_index * width);
-  if (track.is_constant || position.fraction == 0) {
+  const double* a = track.positions.data() + (track.is_constant ? 0 : interval.knot_index * width);
+  if (track.is_constant || interval.fraction == 0) {
     std::copy_n(a, width, out);
     return;
   }
-  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * position.fraction;
+  for (std::size_t k = 0; k < width; ++k) out[k] = a[k] + (a[width + k] - a[k]) * interval.fraction;
 }
 
 void SpringNetwork::add_anchor_forces(const double* anchor_points, const double* anchor_velocities,
@@ -197,17 +197,17 @@ void SpringNetwork::add_air_forces(const double* wind, const double* x, const do
 void SpringNetwork::set_pinned(double t, double h, const double* before, double* x, double* v,
                                const Strides& strides) const {
   if (pinned_particles.empty()) return;
-  const KnotPosition knot = knot_at(t);
+  const KnotInterval interval = interval_at(t);
   const std::size_t width = 3 * pinned_particles.size();
   const double* a =
-      pinned_track.positions.data() + (pinned_track.is_constant ? 0 : knot.knot_index * width);
-  const bool is_interpolated = !pinned_track.is_constant && knot.fraction != 0;
+      pinned_track.positions.data() + (pinned_track.is_constant ? 0 : interval.knot_index * width);
+  const bool is_interpolated = !pinned_track.is_constant && interval.fraction != 0;
   for (std::size_t p = 0; p < pinned_particles.size(); ++p)
     for (std::size_t k = 0; k < 3; ++k) {
       const std::size_t index =
           strides.particle * static_cast<std::size_t>(pinned_particles[p]) + strides.component * k;
       double coordinate = a[3 * p + k];
-      if (is_interpolated) coordinate += (a[width + 3 * p + k] - coordinate) * knot.fraction;
+      if (is_interpolated) coordinate += (a[width + 3 * p + k] - coordinate) * interval.fraction;
       v[index] = (coordinate - before[index]) / h;
       x[index] = coordinate;
     }
@@ -283,15 +283,15 @@ void SpringSet::prepare(std::size_t particles) {
 }
 
 void SpringRun::sample_surroundings(double t, double h) {
-  const KnotPosition knot = network.knot_at(t);
-  SpringNetwork::sample_track(network.wind_track, knot, wind);
+  const KnotInterval interval = network.interval_at(t);
+  SpringNetwork::sample_track(network.wind_track, interval, wind);
   if (network.anchors.empty()) return;
-  SpringNetwork::sample_track(network.anchor_track, knot, anchor_points.data());
+  SpringNetwork::sample_track(network.anchor_track, interval, anchor_points.data());
   if (network.anchor_track.is_constant) {
     anchor_points_before = anchor_points;
     return;
   }
-  SpringNetwork::sample_track(network.anchor_track, network.knot_at(t - h),
+  SpringNetwork::sample_track(network.anchor_track, network.interval_at(t - h),
                               anchor_points_before.data());
   for (std::size_t k = 0; k < anchor_points.size(); ++k)
     anchor_velocities[k] = (anchor_points[k] - anchor_points_before[k]) / h;

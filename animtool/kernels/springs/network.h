@@ -35,12 +35,12 @@ struct Track {
 };
 
 // The knot interval that a time is in, and the fraction of it.
-struct KnotPosition {
+struct KnotInterval {
   std::size_t knot_index;
   double fraction;
 };
 
-KnotPosition knot_position(const std::vector<double>& knot_times, double t);
+KnotInterval find_knot_interval(const std::vector<double>& knot_times, double t);
 
 // Array strides from one particle to the next, and from one component to the next.
 struct Strides {
@@ -82,9 +82,9 @@ class SpringNetwork : public SpringElements {
   // Replaces the paths of pinned particles and anchors over the same knots.
   void set_paths(In<double, 3> pinned_path, In<double, 3> anchor_path);
 
-  KnotPosition knot_at(double t) const { return knot_position(knot_times, t); }
+  KnotInterval interval_at(double t) const { return find_knot_interval(knot_times, t); }
   // Computes the points of a track at a time (P, 3).
-  static void sample_track(const Track& track, const KnotPosition& position, double* out);
+  static void sample_track(const Track& track, const KnotInterval& interval, double* out);
 
   // Add the forces [N] of anchors, given their positions and velocities, and of air, given the
   // wind, to rows of particles.

@@ -20,7 +20,7 @@ struct LayerPair {
 
 using FourParticles = std::array<std::int32_t, 4>;
 // Elements, each with an element that it crosses; sorted.
-using Crossings = std::vector<std::pair<std::int32_t, std::int32_t>>;
+using Intersections = std::vector<std::pair<std::int32_t, std::int32_t>>;
 
 // Triangles, and corners of other triangles.
 struct TrianglesAndCorners {
@@ -33,14 +33,15 @@ struct TrianglesAndCorners {
     const std::int32_t* corners = layers.corners(static_cast<std::size_t>(triangle));
     return {particle, corners[0], corners[1], corners[2]};
   }
-  // Records a crossing; and tests whether a pair is next to one.
-  static void record_crossing(Crossings& crossings, std::int32_t triangle, std::int32_t particle) {
-    crossings.push_back({particle, triangle});
+  // Records an intersection, and tests whether a pair is next to one.
+  static void record_intersection(Intersections& intersections, std::int32_t triangle,
+                                  std::int32_t particle) {
+    intersections.push_back({particle, triangle});
   }
-  template <class HasCrossed>
-  static bool is_next_to_crossing(const SpringLayers& layers, std::int32_t triangle,
-                                  std::int32_t particle, HasCrossed has_crossed) {
-    return has_crossed(particle, [&](std::int32_t other) {
+  template <class Intersects>
+  static bool is_next_to_intersection(const SpringLayers& layers, std::int32_t triangle,
+                                      std::int32_t particle, Intersects intersects) {
+    return intersects(particle, [&](std::int32_t other) {
       const std::int32_t *corners = layers.corners(static_cast<std::size_t>(triangle)),
                          *other_corners = layers.corners(static_cast<std::size_t>(other));
       return std::find_first_of(corners, corners + 3, other_corners, other_corners + 3) !=
@@ -63,13 +64,14 @@ struct EdgesAndEdges {
                        *second_ends = layers.ends(static_cast<std::size_t>(second));
     return {first_ends[0], first_ends[1], second_ends[0], second_ends[1]};
   }
-  static void record_crossing(Crossings& crossings, std::int32_t first, std::int32_t second) {
-    crossings.push_back({first, second});
-    crossings.push_back({second, first});
+  static void record_intersection(Intersections& intersections, std::int32_t first,
+                                  std::int32_t second) {
+    intersections.push_back({first, second});
+    intersections.push_back({second, first});
   }
-  template <class HasCrossed>
-  static bool is_next_to_crossing(const SpringLayers& layers, std::int32_t first,
-                                  std::int32_t second, HasCrossed has_crossed) {
+  template <class Intersects>
+  static bool is_next_to_intersection(const SpringLayers& layers, std::int32_t first,
+                                      std::int32_t second, Intersects intersects) {
     const auto touches_edge = [&](std::int32_t edge) {
       return [&layers, edge](std::int32_t other) {
         const std::int32_t *ends = layers.ends(static_cast<std::size_t>(edge)),
@@ -77,7 +79,7 @@ struct EdgesAndEdges {
         return std::find_first_of(ends, ends + 2, other_ends, other_ends + 2) != ends + 2;
       };
     };
-    return has_crossed(first, touches_edge(second)) || has_crossed(second, touches_edge(first));
+    return intersects(first, touches_edge(second)) || intersects(second, touches_edge(first));
   }
   static std::vector<LayerPair> find_near(const SpringLayers& layers, const std::vector<double>& x,
                                           double margin);

@@ -1,12 +1,12 @@
-// Counts edges that pierce triangles.
+// Counts edges that intersect triangles.
 #include <algorithm>
 #include <optional>
 #include <utility>
 #include <vector>
 
 #include "base/checks.h"
+#include "springs/intersections.h"
 #include "springs/steps.h"
-#include "springs/tangles.h"
 
 namespace animtool {
 
@@ -45,15 +45,15 @@ std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangle
   std::vector<double> x(PARTICLE_STRIDE * count);
   for (std::size_t n = 0; n < count; ++n)
     std::copy_n(positions.data() + 3 * n, 3, x.data() + PARTICLE_STRIDE * n);
-  const auto count_piercings = [&x](const std::vector<std::int32_t>& edge_corners,
-                                    const std::vector<std::int32_t>& face_corners) {
+  const auto count_intersections = [&x](const std::vector<std::int32_t>& edge_corners,
+                                        const std::vector<std::int32_t>& face_corners) {
     return static_cast<std::int64_t>(
-        find_piercings(x, collect_edges(edge_corners), face_corners).size());
+        find_intersections(x, collect_edges(edge_corners), face_corners).size());
   };
-  if (!other_triangles) return count_piercings(corners, corners);
+  if (!other_triangles) return count_intersections(corners, corners);
   const std::vector<std::int32_t> other_corners =
       checked_corners("others", *other_triangles, count);
-  return count_piercings(corners, other_corners) + count_piercings(other_corners, corners);
+  return count_intersections(corners, other_corners) + count_intersections(other_corners, corners);
 }
 
 }  // namespace animtool

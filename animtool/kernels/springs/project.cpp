@@ -75,7 +75,7 @@ class Projection {
       limit_strains(strain_limit_);
       self_contacts_.separate(h, positions_before_, run_.x);
       resolve(step, h);
-      self_contacts_.record_piercings(positions_before_, run_.x);
+      self_contacts_.record_intersections(positions_before_, run_.x);
       const double inverse_h = 1 / h;
       for (std::size_t k = 0; k < run_.size; ++k)
         run_.v[k] = (run_.x[k] - positions_before_[k]) * inverse_h;
@@ -169,8 +169,8 @@ class Projection {
                                run_.x.data(), positions_before_.data(), elongations);
   }
 
-  // Resolves contacts with colliders. If strain is limited, also prevents piercing, and reduces the
-  // strain that contacts cause.
+  // Resolves contacts with colliders. If strain is limited, also prevents intersection, and reduces
+  // the strain that contacts cause.
   void resolve(int step, double h) {
     contacts_.resolve(step, positions_before_, run_.x, nullptr);
     if (!(strain_limit_ > 0)) return;
@@ -178,14 +178,14 @@ class Projection {
       contacts_.resolve(step, positions_before_, run_.x, nullptr, &is_moved_);
     };
     is_moved_.assign(run_.network.particle_count(), 1);
-    self_contacts_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
-                                    resolve_contacts);
+    self_contacts_.prevent_tunnelling(h, step_start_, positions_before_, run_.x, is_moved_,
+                                      resolve_contacts);
     for (int pass = 0; pass < CONTACT_PASSES; ++pass) {
       std::fill(is_moved_.begin(), is_moved_.end(), 0);
       if (!limit_strains(CONTACT_STRAIN_FACTOR * strain_limit_, &is_moved_)) return;
       resolve_contacts();
-      self_contacts_.prevent_piercing(h, step_start_, positions_before_, run_.x, is_moved_,
-                                      resolve_contacts);
+      self_contacts_.prevent_tunnelling(h, step_start_, positions_before_, run_.x, is_moved_,
+                                        resolve_contacts);
     }
   }
 
@@ -290,27 +290,25 @@ class Projection {
 
 }  // namespace
 
-SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> state,
-                                    In<std::uint8_t, 1> is_torn, double origin,
-                                    std::int64_t first_interval, double interval_duration,
-                                    std::int64_t interval_count, int substeps, int low_strain_count,
-                                    int min_substeps, int max_substeps, double repeat_strain,
-                                    const std::optional<SpringColliders>& colliders,
-                                    const SpringLayers* layers,
-                                    In<std::int64_t, 2> initial_piercings, double strain_limit) {
+SpringProjectResult project_springs(
+    const SpringNetwork& network, In<double, 3> state, In<std::uint8_t, 1> is_torn, double origin,
+    std::int64_t first_interval, double interval_duration, std::int64_t interval_count,
+    int substeps, int low_strain_count, int min_substeps, int max_substeps, double repeat_strain,
+    const std::optional<SpringColliders>& colliders, const SpringLayers* layers,
+    In<std::int64_t, 2> initial_intersections, double strain_limit) {
   const IntervalGrid grid{origin, first_interval, interval_duration, interval_count};
   check::between("max_substeps", max_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check::between("min_substeps", min_substeps, 1, static_cast<int>(MAX_SUBSTEPS));
   check_intervals(grid, substeps);
   check_intervals(grid, std::max(substeps, max_substeps));
-  check::between("calm", low_strain_count, 0, std::numeric_limits<int>::max() / 2);
+  check::between("low_strain_count", low_strain_count, 0, std::numeric_limits<int>::max() / 2);
   if (!(repeat_strain >= 0))
-    check::refuse("stretch", check::text(repeat_strain) + " is not 0 or more");
-  check::not_negative("limit", strain_limit);
+    check::refuse("repeat_strain", check::text(repeat_strain) + " is not 0 or more");
+  check::non_negative("strain_limit", strain_limit);
   check::finite("state", state);
   SpringRun run = build_run(network, state, is_torn);
   SpringContacts contacts(colliders, network, interval_count, strain_limit > 0);
-  SelfContacts self_contacts(layers, network, initial_piercings, strain_limit > 0);
+  SelfContacts self_contacts(layers, network, initial_intersections, strain_limit > 0);
   double largest_strain = 0;
   std::int64_t total_steps = 0;
   Projection projection(run, interval_duration, strain_limit, contacts, self_contacts);
@@ -323,12 +321,12 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
     const double strain_bound = strain_limit > 0
                                     ? std::max(repeat_strain, MAX_STRAIN_EXCESS * strain_limit)
                                     : repeat_strain;
-    const auto has_new_piercings = [&] {
+    const auto has_new_intersections = [&] {
       return strain_limit > 0 &&
-             self_contacts.piercing_count() > self_contacts.start_piercing_count();
+             self_contacts.intersection_count() > self_contacts.initial_intersection_count();
     };
     bool is_improving = true;
-    while ((!(strain <= strain_bound) || has_new_piercings()) && substeps < max_substeps &&
+    while ((!(strain <= strain_bound) || has_new_intersections()) && substeps < max_substeps &&
            is_improving) {
       substeps = std::min(2 * substeps, max_substeps);
       low_strain_count = 0;
@@ -339,9 +337,10 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
       total_steps += substeps;
       // Shorter steps do not reduce the strain that contacts and pinned particles impose.
       if (strain_limit > 0)
-        is_improving = has_new_piercings() || strain <= MAX_REDUCED_STRAIN_RATIO * previous_strain;
+        is_improving =
+            has_new_intersections() || strain <= MAX_REDUCED_STRAIN_RATIO * previous_strain;
     }
-    if (strain_limit > 0 && strain <= strain_bound && !has_new_piercings() &&
+    if (strain_limit > 0 && strain <= strain_bound && !has_new_intersections() &&
         substeps > min_substeps)
       substeps = std::max(substeps / 2, min_substeps);
     largest_strain = std::max(largest_strain, strain);
@@ -361,7 +360,7 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
           total_steps,
           contacts.touched_count,
           contacts.unresolved_count,
-          self_contacts.piercings(),
+          self_contacts.intersections(),
           self_contacts.max_counts(),
           contacts.impulses()};
 }

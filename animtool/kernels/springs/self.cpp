@@ -15,7 +15,7 @@ namespace {
 using collide::load;
 using collide::Vec;
 
-// Largest relative displacement in a step for which crossings are tested [thickness].
+// Largest relative displacement in a step for which tunnelling is tested [thickness].
 constexpr double MAX_TESTED_TRAVEL = 4;
 // Extra distance up to which pairs are listed, relative to the longest edge plus the thickness: a
 // list of pairs takes time in proportion to the square of its distance over that sum, and is
@@ -25,7 +25,7 @@ constexpr double PAIR_LIST_MARGIN = 0.3;
 // [thickness].
 constexpr double NEAR_LIST_STEPS = 6, MIN_NEAR_MARGIN = 0.03, MAX_NEAR_MARGIN = 0.5;
 // Speed of untangling [m/s].
-constexpr double UNTANGLING_SPEED = 1;
+constexpr double RESOLVING_SPEED = 1;
 // Width of the cells of nearby elements: this many longest edges plus this many thicknesses.
 constexpr double CELL_EDGE_FACTOR = 4, CELL_THICKNESS_FACTOR = 8;
 
@@ -49,23 +49,24 @@ SelfContacts::SelfContacts(const SpringLayers& layers, const SpringNetwork& netw
     : layers_(&layers), network_(network) {}
 
 SelfContacts::SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
-                           const In<std::int64_t, 2>& initial_piercings, bool untangles)
+                           const In<std::int64_t, 2>& initial_intersections,
+                           bool resolves_intersections)
     : layers_(layers), network_(network) {
   if (layers_) check_layers(*layers_, network);
-  if (layers_ && untangles) {
-    tangles_.emplace(*layers_, network.inverse_masses);
+  if (layers_ && resolves_intersections) {
+    resolver_.emplace(*layers_, network.inverse_masses);
     zones_.emplace(network.inverse_masses);
   }
-  check::shape("crossed", initial_piercings, {check::ANY, 3});
-  read_piercings(initial_piercings);
+  check::shape("initial_intersections", initial_intersections, {check::ANY, 3});
+  read_intersections(initial_intersections);
 }
 
-void SelfContacts::read_piercings(const In<std::int64_t, 2>& initial_piercings) {
+void SelfContacts::read_intersections(const In<std::int64_t, 2>& initial_intersections) {
   const auto is_index = [](std::int64_t n, std::size_t count) {
     return n >= 0 && n < static_cast<std::int64_t>(count);
   };
-  for (std::size_t c = 0; c < initial_piercings.size(); c += 3) {
-    const std::int64_t* row = initial_piercings.data() + c;
+  for (std::size_t c = 0; c < initial_intersections.size(); c += 3) {
+    const std::int64_t* row = initial_intersections.data() + c;
     const bool is_corner = layers_ && is_index(row[0], layers_->particle_count()) &&
                            is_index(row[1], layers_->triangle_count());
     const std::int64_t edge =
@@ -73,28 +74,29 @@ void SelfContacts::read_piercings(const In<std::int64_t, 2>& initial_piercings) 
     const bool is_edge = layers_ && is_index(edge, layers_->edge_count()) && edge < row[1] &&
                          is_index(row[1], layers_->edge_count());
     if (!(is_edge || is_corner) || (row[2] != 1 && row[2] != -1))
-      check::refuse("crossed", "row " + check::text(c / 3) + " is no passage of the layers");
+      check::refuse("initial_intersections",
+                    "row " + check::text(c / 3) + " is not an intersection of the surface");
     const auto second = static_cast<std::int32_t>(row[1]), side = static_cast<std::int32_t>(row[2]);
     if (is_edge)
-      edge_contacts_.piercings.push_back({static_cast<std::int32_t>(edge), second, side});
+      edge_contacts_.intersections.push_back({static_cast<std::int32_t>(edge), second, side});
     else
-      corner_contacts_.piercings.push_back({second, static_cast<std::int32_t>(row[0]), side});
+      corner_contacts_.intersections.push_back({second, static_cast<std::int32_t>(row[0]), side});
   }
-  corner_contacts_.sort_piercings();
-  edge_contacts_.sort_piercings();
+  corner_contacts_.sort_intersections();
+  edge_contacts_.sort_intersections();
 }
 
 void SelfContacts::begin_interval(std::int64_t interval, const std::vector<double>& x) {
-  // A surface without piercings cannot become tangled.
-  if (tangles_ && interval != interval_ &&
-      (interval_ < 0 || tangles_->has_piercings() || piercing_count() > 0))
-    tangles_->find(x);
+  // A surface without intersections cannot begin to intersect itself.
+  if (resolver_ && interval != interval_ &&
+      (interval_ < 0 || resolver_->has_intersections() || intersection_count() > 0))
+    resolver_->find(x);
   if (interval == interval_) {
-    corner_contacts_.piercings = start_corner_piercings_;
-    edge_contacts_.piercings = start_edge_piercings_;
+    corner_contacts_.intersections = initial_corner_intersections_;
+    edge_contacts_.intersections = initial_edge_intersections_;
   } else {
-    start_corner_piercings_ = corner_contacts_.piercings;
-    start_edge_piercings_ = edge_contacts_.piercings;
+    initial_corner_intersections_ = corner_contacts_.intersections;
+    initial_edge_intersections_ = edge_contacts_.intersections;
   }
   interval_ = interval;
 }
@@ -170,10 +172,11 @@ void SelfContacts::separate(double h, std::vector<double>& before, std::vector<d
                return_distance = layers_->separation_speed * h;
   if (travel_ > max_travel)
     required_step_rate_ = std::max(required_step_rate_, travel_ / (max_travel * h));
-  const Tangles* tangles = tangles_ && tangles_->has_piercings() ? &*tangles_ : nullptr;
-  if (tangles) tangles->untangle(UNTANGLING_SPEED * h, before, x);
-  corner_contacts_.find_contacts(*layers_, before, x, tested_travel_, return_distance, tangles);
-  edge_contacts_.find_contacts(*layers_, before, x, tested_travel_, return_distance, tangles);
+  const IntersectionResolver* resolver =
+      resolver_ && resolver_->has_intersections() ? &*resolver_ : nullptr;
+  if (resolver) resolver->resolve(RESOLVING_SPEED * h, before, x);
+  corner_contacts_.find_contacts(*layers_, before, x, tested_travel_, return_distance, resolver);
+  edge_contacts_.find_contacts(*layers_, before, x, tested_travel_, return_distance, resolver);
   if (!corner_contacts_.has_hits() && !edge_contacts_.has_hits()) return;
   Separation separation(layers_->friction, layers_->separation_speed * h, network_.inverse_masses,
                         before, x);
@@ -190,8 +193,8 @@ bool SelfContacts::find_tunnelling(double h, const std::vector<double>& from,
   if (!std::isfinite(std::accumulate(x.begin(), x.end(), 0.0))) return false;
   measure_displacements(h, from, x);
   update_lists(h, from, x);
-  corner_contacts_.collect_tunnelling(*layers_, from, x, is_moved, *tangles_, tunnelling_corners_);
-  edge_contacts_.collect_tunnelling(*layers_, from, x, is_moved, *tangles_, tunnelling_edges_);
+  corner_contacts_.collect_tunnelling(*layers_, from, x, is_moved, *resolver_, tunnelling_corners_);
+  edge_contacts_.collect_tunnelling(*layers_, from, x, is_moved, *resolver_, tunnelling_edges_);
   std::fill(is_moved.begin(), is_moved.end(), 0);
   for (const auto* contacts : {&tunnelling_corners_, &tunnelling_edges_})
     for (const LayerHit& hit : *contacts)
@@ -211,45 +214,47 @@ void SelfContacts::separate_tunnelling(double h, std::vector<double>& before,
 
 void SelfContacts::record_tunnelling() {
   for (const LayerHit& hit : tunnelling_corners_)
-    corner_contacts_.piercings.push_back({hit.first, hit.second, hit.side});
+    corner_contacts_.intersections.push_back({hit.first, hit.second, hit.side});
   for (const LayerHit& hit : tunnelling_edges_)
-    edge_contacts_.piercings.push_back({hit.first, hit.second, hit.side});
-  corner_contacts_.sort_piercings();
-  edge_contacts_.sort_piercings();
+    edge_contacts_.intersections.push_back({hit.first, hit.second, hit.side});
+  corner_contacts_.sort_intersections();
+  edge_contacts_.sort_intersections();
 }
 
-void SelfContacts::record_piercings(const std::vector<double>& before,
-                                    const std::vector<double>& x) {
-  if (!layers_ || tangles_) return;
-  corner_contacts_.record_piercings(before, x);
-  edge_contacts_.record_piercings(before, x);
+void SelfContacts::record_intersections(const std::vector<double>& before,
+                                        const std::vector<double>& x) {
+  if (!layers_ || resolver_) return;
+  corner_contacts_.record_intersections(before, x);
+  edge_contacts_.record_intersections(before, x);
 }
 
-Out<std::int64_t, 2> SelfContacts::piercings() const {
-  const std::size_t count = corner_contacts_.piercings.size() + edge_contacts_.piercings.size();
+Out<std::int64_t, 2> SelfContacts::intersections() const {
+  const std::size_t count =
+      corner_contacts_.intersections.size() + edge_contacts_.intersections.size();
   Out<std::int64_t, 2> result(count, 3);
   std::int64_t* out = result.get();
   const auto add_row = [&](std::int64_t first, std::int64_t second, std::int64_t side) {
     for (const std::int64_t number : {first, second, side}) *out++ = number;
   };
-  for (const Piercing& piercing : corner_contacts_.piercings)
-    add_row(piercing.second, piercing.first, piercing.side);
-  for (const Piercing& piercing : edge_contacts_.piercings)
-    add_row(std::int64_t(layers_->particle_count()) + piercing.first, piercing.second,
-            piercing.side);
+  for (const Intersection& intersection : corner_contacts_.intersections)
+    add_row(intersection.second, intersection.first, intersection.side);
+  for (const Intersection& intersection : edge_contacts_.intersections)
+    add_row(std::int64_t(layers_->particle_count()) + intersection.first, intersection.second,
+            intersection.side);
   return result;
 }
 
 void SelfContacts::update_max_counts() {
-  std::vector<std::int32_t> pierced_particles;
-  for (const Piercing& piercing : corner_contacts_.piercings)
-    pierced_particles.push_back(piercing.second);
-  std::sort(pierced_particles.begin(), pierced_particles.end());
-  max_corner_piercings_ = std::max<std::int64_t>(
-      max_corner_piercings_,
-      std::unique(pierced_particles.begin(), pierced_particles.end()) - pierced_particles.begin());
-  max_edge_piercings_ =
-      std::max(max_edge_piercings_, static_cast<std::int64_t>(edge_contacts_.piercings.size()));
+  std::vector<std::int32_t> intersecting_particles;
+  for (const Intersection& intersection : corner_contacts_.intersections)
+    intersecting_particles.push_back(intersection.second);
+  std::sort(intersecting_particles.begin(), intersecting_particles.end());
+  max_corner_intersections_ = std::max<std::int64_t>(
+      max_corner_intersections_,
+      std::unique(intersecting_particles.begin(), intersecting_particles.end()) -
+          intersecting_particles.begin());
+  max_edge_intersections_ = std::max(
+      max_edge_intersections_, static_cast<std::int64_t>(edge_contacts_.intersections.size()));
 }
 
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,

@@ -16,9 +16,9 @@
 
 namespace animtool {
 
-// Largest numbers of piercing particles and of piercing edge pairs; and the step rate at which all
-// contacts would be within the tested distance, 0 if they were.
-using PiercingCounts = std::tuple<std::int64_t, std::int64_t, double>;
+// Largest numbers of intersecting particles and of intersecting edge pairs; and the step rate at
+// which all contacts would be within the tested distance, 0 if they were.
+using IntersectionCounts = std::tuple<std::int64_t, std::int64_t, double>;
 
 // Resolves self-contacts of a surface over the steps of a run: particles with triangles, then edges
 // with edges if their interiors are closest.
@@ -28,10 +28,12 @@ class SelfContacts {
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
-  // Without layers nothing is done. `initial_piercings` are piercings to resume with (C, 3), as
-  // `piercings` returns them. With `untangles`, tangles are resolved and tunnelling is prevented.
+  // Without layers nothing is done. `initial_intersections` are intersections to resume with (C,
+  // 3), as `intersections` returns them. With `resolves_intersections`, they are resolved and
+  // tunnelling is prevented.
   SelfContacts(const SpringLayers* layers, const SpringNetwork& network,
-               const In<std::int64_t, 2>& initial_piercings, bool untangles = false);
+               const In<std::int64_t, 2>& initial_intersections,
+               bool resolves_intersections = false);
 
   // Begins an interval of time, or repeats the current one.
   void begin_interval(std::int64_t interval, const std::vector<double>& x);
@@ -41,28 +43,28 @@ class SelfContacts {
   // Moves pairs that tunnel through each other in the step: separates them, calling
   // `resolve_contacts` after each iteration, and as a last resort moves them rigidly. Only marked
   // particles may have moved since the last call; marks the particles that moved. Does nothing
-  // unless tangles are resolved.
+  // unless intersections are resolved.
   template <class ResolveContacts>
-  void prevent_piercing(double h, const std::vector<double>& from, std::vector<double>& before,
-                        std::vector<double>& x, std::vector<std::uint8_t>& is_moved,
-                        ResolveContacts resolve_contacts);
+  void prevent_tunnelling(double h, const std::vector<double>& from, std::vector<double>& before,
+                          std::vector<double>& x, std::vector<std::uint8_t>& is_moved,
+                          ResolveContacts resolve_contacts);
   // Records pairs that changed sides in the step, unless tunnelling is prevented.
-  void record_piercings(const std::vector<double>& before, const std::vector<double>& x);
+  void record_intersections(const std::vector<double>& before, const std::vector<double>& x);
 
-  // The remaining piercings (C, 3): particle, triangle and side; for edges, numbered after the
+  // The remaining intersections (C, 3): particle, triangle and side; for edges, numbered after the
   // particles: edge, edge and side.
-  Out<std::int64_t, 2> piercings() const;
-  // Number of piercings now, and at the start of the interval.
-  std::size_t piercing_count() const {
-    return corner_contacts_.piercings.size() + edge_contacts_.piercings.size();
+  Out<std::int64_t, 2> intersections() const;
+  // Number of intersections now, and at the start of the interval.
+  std::size_t intersection_count() const {
+    return corner_contacts_.intersections.size() + edge_contacts_.intersections.size();
   }
-  std::size_t start_piercing_count() const {
-    return start_corner_piercings_.size() + start_edge_piercings_.size();
+  std::size_t initial_intersection_count() const {
+    return initial_corner_intersections_.size() + initial_edge_intersections_.size();
   }
-  // Updates the largest numbers of piercings at the end of an interval.
+  // Updates the largest numbers of intersections at the end of an interval.
   void update_max_counts();
-  PiercingCounts max_counts() const {
-    return {max_corner_piercings_, max_edge_piercings_, required_step_rate_};
+  IntersectionCounts max_counts() const {
+    return {max_corner_intersections_, max_edge_intersections_, required_step_rate_};
   }
 
  private:
@@ -78,13 +80,13 @@ class SelfContacts {
     }
   };
 
-  // Checks and reads piercings to resume with.
-  void read_piercings(const In<std::int64_t, 2>& initial_piercings);
+  // Checks and reads intersections to resume with.
+  void read_intersections(const In<std::int64_t, 2>& initial_intersections);
   // Finds marked pairs that tunnel through each other in the step, and marks only their particles;
   // returns whether there are any.
   bool find_tunnelling(double h, const std::vector<double>& from, const std::vector<double>& x,
                        std::vector<std::uint8_t>& is_moved);
-  // Records tunnelling pairs as piercings.
+  // Records tunnelling pairs as intersections.
   void record_tunnelling();
   void separate_tunnelling(double h, std::vector<double>& before, std::vector<double>& x) const;
   // Measures the relative displacement of nearby elements in a step; `rebuild_cells` also rebuilds
@@ -101,11 +103,11 @@ class SelfContacts {
   const SpringNetwork& network_;
   LayerContacts<TrianglesAndCorners> corner_contacts_;
   LayerContacts<EdgesAndEdges> edge_contacts_;
-  std::optional<Tangles> tangles_;
+  std::optional<IntersectionResolver> resolver_;
   std::optional<ImpactZones> zones_;
   std::vector<LayerHit> tunnelling_corners_, tunnelling_edges_;
-  std::vector<Piercing> start_corner_piercings_, start_edge_piercings_;
-  std::int64_t interval_ = -1, max_corner_piercings_ = 0, max_edge_piercings_ = 0;
+  std::vector<Intersection> initial_corner_intersections_, initial_edge_intersections_;
+  std::int64_t interval_ = -1, max_corner_intersections_ = 0, max_edge_intersections_ = 0;
 
   PairList pair_list_, near_list_;
   RelativeMotion relative_motion_;
@@ -120,11 +122,11 @@ class SelfContacts {
 };
 
 template <class ResolveContacts>
-void SelfContacts::prevent_piercing(double h, const std::vector<double>& from,
-                                    std::vector<double>& before, std::vector<double>& x,
-                                    std::vector<std::uint8_t>& is_moved,
-                                    ResolveContacts resolve_contacts) {
-  if (!layers_ || !tangles_ || pair_list_.distance < 0) return;
+void SelfContacts::prevent_tunnelling(double h, const std::vector<double>& from,
+                                      std::vector<double>& before, std::vector<double>& x,
+                                      std::vector<std::uint8_t>& is_moved,
+                                      ResolveContacts resolve_contacts) {
+  if (!layers_ || !resolver_ || pair_list_.distance < 0) return;
   corner_contacts_.drop_resolved(*layers_, x);
   edge_contacts_.drop_resolved(*layers_, x);
   for (int iteration = 0; find_tunnelling(h, from, x, is_moved); ++iteration) {

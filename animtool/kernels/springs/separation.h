@@ -18,8 +18,9 @@ constexpr double MIN_EFFECTIVE_WEIGHT = 1e-3;
 // Elements count as separated if less than this fraction of the contact distance is missing.
 constexpr double SEPARATION_TOLERANCE = 1e-2;
 
-// Two nearby elements, the side from which the first pierced the second (1 or -1, 0 if it did not),
-// their particles, their gap, their relative displacement in the step, and their contact distance.
+// Two nearby elements, the side from which the first passed through the second (1 or -1, 0 if it
+// did not), their particles, their gap, their relative displacement in the step, and their contact
+// distance.
 struct LayerHit {
   std::int32_t first, second, side;
   FourParticles particles;
@@ -31,7 +32,7 @@ struct LayerHit {
 class Separation {
  public:
   // `return_shift` is the largest separation in the step that adds no velocity. With
-  // `separates_at_ends`, piercing edges are separated even if they are closest at an end.
+  // `separates_at_ends`, intersecting edges are separated even if they are closest at an end.
   Separation(double friction, double return_shift, const std::vector<double>& inverse_masses,
              std::vector<double>& before, std::vector<double>& x, bool separates_at_ends = false)
       : friction_(friction),
@@ -71,13 +72,13 @@ bool Separation::separate(const LayerHit& hit) {
   double gap = length(nearest.offset);
   const double height = hit.side ? hit.side * current.height() : gap;
   if (!(std::min(height, gap) < hit.distance)) return false;
-  const bool has_pierced = height < 0;
+  const bool has_passed_through = height < 0;
   collide::Vec normal = nearest.offset * (1 / gap);
-  if (has_pierced || !(gap > 0)) normal = collide::direction(current.normal(), {0, 0, 1});
-  if (has_pierced) normal = normal * hit.side, gap = height;
+  if (has_passed_through || !(gap > 0)) normal = collide::direction(current.normal(), {0, 0, 1});
+  if (has_passed_through) normal = normal * hit.side, gap = height;
   const auto distance = [&](const std::vector<double>& positions) {
     const Shape previous(hit.particles.data(), positions.data());
-    return has_pierced ? hit.side * previous.height() : length(previous.nearest().offset);
+    return has_passed_through ? hit.side * previous.height() : length(previous.nearest().offset);
   };
   const double start_distance = distance(before_);
   const double target_distance = std::min(hit.distance, start_distance + max_return_);

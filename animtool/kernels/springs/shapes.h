@@ -267,8 +267,8 @@ inline bool paths_overlap(const std::int32_t* particles, std::size_t first_count
   return true;
 }
 
-// The side (1 or -1) from which the first element has pierced the second at the end of linear
-// paths; 0 if it has not: it may have gone around it, or come back.
+// The side (1 or -1) from which the first element has passed through the second at the end of
+// linear paths; 0 if it has not: it may have gone around it, or come back.
 template <class Pair>
 std::int32_t passing_side(const Pair& from, const Pair& to) {
   const Volume volume(from.volume_vectors(), to.volume_vectors());

@@ -98,9 +98,9 @@ class ImplicitSolver {
           residual_[k] = 0;
           continue;
         }
-        const double difference = bv[k] - v[k] + s * residual_[k];
-        residual_[k] = difference / inverse_mass;
-        sum += difference * residual_[k];
+        const double velocity_residual = bv[k] - v[k] + s * residual_[k];
+        residual_[k] = velocity_residual / inverse_mass;
+        sum += velocity_residual * residual_[k];
       }
     }
     return sum;
@@ -312,7 +312,7 @@ class PinImpulses {
     pin_indices_.resize(run.network.particle_count(), -1);
     for (std::size_t p = 0; p < pinned_particles_.size(); ++p)
       pin_indices_[static_cast<std::size_t>(pinned_particles_[p])] = static_cast<std::int32_t>(p);
-    check::numbers("pulls", *last_impulses, {pinned_particles_.size(), IMPULSE_SIZE});
+    check::numbers("last_pin_impulses", *last_impulses, {pinned_particles_.size(), IMPULSE_SIZE});
     last_impulses_.assign(last_impulses->data(), last_impulses->data() + last_impulses->size());
     total_impulses_.resize(last_impulses_.size());
     forces_.resize(run.size);
@@ -461,7 +461,7 @@ SpringSolveResult solve_springs(const SpringNetwork& network, In<double, 3> stat
   check::finite("state", state);
   SpringRun run = build_run(network, state, is_torn);
   if (earlier_state) {
-    check::numbers("before", *earlier_state, {2, network.particle_count(), 3});
+    check::numbers("earlier_state", *earlier_state, {2, network.particle_count(), 3});
   }
   SpringContacts contacts(colliders, network, interval_count);
   PinImpulses pin_impulses(run, last_pin_impulses);

@@ -36,11 +36,11 @@ void check_intervals(const IntervalGrid& grid, std::int64_t substeps);
 using SpringStepResult =
     std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, std::int64_t, Out<double, 2>>;
 // states, torn springs, steps per interval, number of calm intervals so far, largest strain, total
-// steps, numbers of particles in contact with and inside colliders, piercings of the surface by
+// steps, numbers of particles in contact with and inside colliders, intersections of the surface by
 // itself (C, 3), their counts, impulses on colliders
 using SpringProjectResult =
     std::tuple<Out<double, 3>, Out<std::uint8_t, 1>, int, int, double, std::int64_t, std::int64_t,
-               std::int64_t, Out<std::int64_t, 2>, PiercingCounts, Out<double, 2>>;
+               std::int64_t, Out<std::int64_t, 2>, IntersectionCounts, Out<double, 2>>;
 // states, previous states, whether these are valid, torn springs, steps, corrections, unsolved
 // intervals, number of particles inside colliders, impulses on colliders, and, if requested, on the
 // carriers of pinned particles (2, H, 6): impulses and moments about the origin of all steps, then
@@ -72,14 +72,14 @@ SpringProjectResult project_springs(const SpringNetwork& network, In<double, 3> 
                                     int min_substeps, int max_substeps, double repeat_strain,
                                     const std::optional<SpringColliders>& colliders,
                                     const SpringLayers* layers,
-                                    In<std::int64_t, 2> initial_piercings, double strain_limit);
+                                    In<std::int64_t, 2> initial_intersections, double strain_limit);
 
 // Separates self-contacts in one step from positions (N, 3) to a state (2, N, 3); returns the
 // state.
 Out<double, 3> part_springs(const SpringNetwork& network, const SpringLayers& layers,
                             In<double, 2> before, In<double, 3> after, double h);
 
-// Number of pairs of an edge and a triangle that it pierces, without a shared particle, at
+// Number of pairs of an edge and a triangle that it intersects, without a shared particle, at
 // positions (N, 3).
 std::int64_t pierced_edges(In<double, 2> positions, In<std::int64_t, 2> triangles,
                            const std::optional<In<std::int64_t, 2>>& other_triangles);

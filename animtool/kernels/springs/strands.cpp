@@ -366,17 +366,17 @@ SpringStrands::SpringStrands(In<double, 2> spring_rest_lengths, In<double, 2> fo
   if (strands_ == 0) check::refuse("rests", "there is no strand");
   check::at_most("rests", points_, check::MAX_ROWS / strands_);
   for (std::size_t k = 0; k < spring_rest_lengths.size(); ++k)
-    check::not_negative("rests", spring_rest_lengths.data()[k]);
+    check::non_negative("rests", spring_rest_lengths.data()[k]);
   check::shape("folds", fold_rest_lengths, {strands_, points_ - std::min<std::size_t>(points_, 2)});
   for (std::size_t k = 0; k < fold_rest_lengths.size(); ++k)
-    check::not_negative("folds", fold_rest_lengths.data()[k]);
+    check::non_negative("folds", fold_rest_lengths.data()[k]);
   check::numbers("gravity", gravity, {3});
   check::finite("drag", drag);
-  check::not_negative("stiffness", stiffness);
-  check::not_negative("fold_stiffness", fold_stiffness);
-  check::not_negative("draw_stiffness", goal_stiffness);
-  check::not_negative("draw_damping", goal_damping);
-  check::not_negative("stretch", max_strain);
+  check::non_negative("stiffness", stiffness);
+  check::non_negative("fold_stiffness", fold_stiffness);
+  check::non_negative("draw_stiffness", goal_stiffness);
+  check::non_negative("draw_damping", goal_damping);
+  check::non_negative("stretch", max_strain);
   std::copy_n(gravity.data(), 3, gravity_);
   rest_lengths_ = interleave(spring_rest_lengths, strands_, spring_count());
   bend_lengths_ = interleave(fold_rest_lengths, strands_, points_);
@@ -433,11 +433,11 @@ StrandResult follow_strands(const SpringStrands& strands, In<double, 3> targets,
   const std::size_t count = strands.strand_count() * strands.point_count();
   check::numbers("state", state, {2, count, 3});
   check::shape("targets", targets, {check::ANY, count, 3});
-  if (targets.shape(0) < 2) check::refuse("targets", "there is no cell between two of them");
+  if (targets.shape(0) < 2) check::refuse("targets", "there is no interval between two of them");
   check::finite("targets", targets);
-  if (thread_count < 1) check::refuse("threads", "0 is none");
+  if (thread_count < 1) check::refuse("thread_count", "0 is none");
   const std::size_t interval_count = targets.shape(0) - 1;
-  check::positive("span", frame_duration);
+  check::positive("frame_duration", frame_duration);
   check_intervals({0, 0, frame_duration / static_cast<double>(interval_count),
                    static_cast<std::int64_t>(interval_count)},
                   substeps);

@@ -1,5 +1,5 @@
 // Rigid impact zones: particles that move rigidly through a step as a last resort against
-// piercing.
+// intersection.
 //
 // X. Provot, Collision and Self-Collision Handling in Cloth Model Dedicated to Design
 // Garments, 1997, 5; R. Bridson et al., Robust Treatment of Collisions, Contact and Friction

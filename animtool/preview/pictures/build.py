@@ -376,13 +376,13 @@ class PictureRenderer:
         yaw = view.yaw
         shows_numbers = self._shows_numbers(len(set(samples)))
 
-        def render(k: int) -> Array:
+        def render(frame_index: int) -> Array:
             """Return the pixels of a film frame by its number, from 0."""
             if self._options.turntable:
-                view.yaw = yaw + 2 * math.pi * k / len(samples)
-            pixels = self._scene.draw(view, samples[k], picture, camera.shot)
+                view.yaw = yaw + 2 * math.pi * frame_index / len(samples)
+            pixels = self._scene.draw(view, samples[frame_index], picture, camera.shot)
             return self._add_text(
-                pixels, caption, samples[k] if shows_numbers else None
+                pixels, caption, samples[frame_index] if shows_numbers else None
             )
 
         palette_frames: list[Array] = []

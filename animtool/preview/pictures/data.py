@@ -36,7 +36,7 @@ class StreamReader:
         return int(self._entries[stream]["width"])
 
     def static_values(self, stream: int | None) -> Array:
-        """Return the values of a one-sample stream; empty without a stream."""
+        """Return the values of a one-sample stream; empty if there is no stream."""
         return (
             np.zeros(0, np.float32) if stream is None else self.sample_values(stream, 0)
         )

@@ -105,7 +105,7 @@ class TrailRenderer:
                         pose, sample, color_of_take(pose.index), contact_color
                     )
                 )
-            for contact_entry in pose.record.get("contacts") or []:
+            for contact_entry in pose.manifest_entry.get("contacts") or []:
                 code = self._codes[sample : sample + 1]
                 if (
                     "contacts" in shown_layers

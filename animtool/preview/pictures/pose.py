@@ -43,15 +43,15 @@ class PosedTake:
     """
 
     def __init__(
-        self, streams: StreamReader, record: dict[str, Any], index: int
+        self, streams: StreamReader, manifest_entry: dict[str, Any], index: int
     ) -> None:
-        self._streams, self.record, self.index = streams, record, index
-        skeleton = record["skeleton"]
+        self._streams, self.manifest_entry, self.index = streams, manifest_entry, index
+        skeleton = manifest_entry["skeleton"]
         self.joint_names: list[str] = skeleton["names"]
         self.parents = np.array(skeleton["parents"], np.int64)
         self.joint_count = len(self.joint_names)
         self.levels = _joints_by_depth(self.parents)
-        static_values = record.get("still") or skeleton["rest"]
+        static_values = manifest_entry.get("still") or skeleton["rest"]
         self._values = {
             "t": np.reshape(static_values["t"], (-1, 3)).astype(np.float64),
             "r": np.reshape(static_values["r"], (-1, 4)).astype(np.float64),
@@ -62,14 +62,15 @@ class PosedTake:
         self._animated_components = [
             (
                 component,
-                record[component],
-                np.array(record["moving"][component], np.int64),
+                manifest_entry[component],
+                np.array(manifest_entry["moving"][component], np.int64),
             )
             for component in "trs"
-            if record.get(component) is not None and record["moving"].get(component)
+            if manifest_entry.get(component) is not None
+            and manifest_entry["moving"].get(component)
         ]
-        self.first_sample: int = (record.get("span") or [0])[0]
-        self.shift = np.array(record.get("offset") or [0.0] * 3)
+        self.first_sample: int = (manifest_entry.get("span") or [0])[0]
+        self.shift = np.array(manifest_entry.get("offset") or [0.0] * 3)
         self.tips = [
             (int(j), np.array(position)) for j, *position in skeleton.get("tips") or []
         ]
@@ -97,7 +98,9 @@ class PosedTake:
         """Return the joints with trails: the root and the feet."""
         if not self.joint_count:
             return []
-        feet = [contact["joint"] for contact in self.record.get("contacts") or []]
+        feet = [
+            contact["joint"] for contact in self.manifest_entry.get("contacts") or []
+        ]
         if not feet:
             parent_names = [self.joint_names[p] if p >= 0 else "" for p in self.parents]
             feet = [
@@ -110,14 +113,14 @@ class PosedTake:
         return list(dict.fromkeys([self.root, *feet]))
 
     def sample_values(self, stream: int | None, sample: int) -> FloatArray | None:
-        """Return a stream's values at a page sample; None without a stream."""
+        """Return a stream's values at a page sample; None if there is no stream."""
         if stream is None:
             return None
         return self._streams.sample_values(stream, sample - self.first_sample)
 
     def update(self, sample: int) -> None:
         """Set the visibility and the world matrices of the take at a sample."""
-        visibility = self.sample_values(self.record.get("visible"), sample)
+        visibility = self.sample_values(self.manifest_entry.get("visible"), sample)
         self.is_visible = visibility is None or visibility[0] != 0
         self.world_matrices = self._posed_matrices(sample)
 
@@ -172,7 +175,7 @@ class PosedTake:
     def contacts_at(self, codes: FloatArray) -> BoolArray:
         """Return whether trail joints touch the ground at time codes ``(F, T)``."""
         is_in_contact = np.zeros((len(codes), len(self.trail_joints)), bool)
-        for contact in self.record.get("contacts") or []:
+        for contact in self.manifest_entry.get("contacts") or []:
             for column, joint in enumerate(self.trail_joints):
                 if joint == contact["joint"]:
                     is_in_contact[:, column] |= is_in_spans(codes, contact["spans"])

@@ -59,7 +59,7 @@ class CameraChoice:
 
 
 def option_error(option: str, message: str, hint: str) -> OptionError:
-    """Return the error of an invalid picture option."""
+    """Return the error for an invalid picture option."""
     return OptionError(Fault("PRV006", message, hint=hint, where=option))
 
 
@@ -79,7 +79,7 @@ def picture_size(
 
 
 def sheet_layout(options: PictureOptions) -> tuple[int, int] | None:
-    """Return the number of columns and rows of a sheet; None without a sheet."""
+    """Return the number of columns and rows of a requested sheet, or None."""
     if options.sheet is None:
         return None
     columns, rows = _parse_pair(options.sheet, "sheet", "4x3")

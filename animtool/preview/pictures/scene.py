@@ -72,7 +72,7 @@ class SceneRenderer:
         self._poses = [
             PosedTake(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
-        # The take that the camera follows; None without joints.
+        # The take that the camera follows; None if none has joints.
         has_joints = bool(self._poses) and self._poses[0].joint_count > 0
         self._main_pose = self._poses[0] if has_joints else None
         geometries: dict[tuple[Any, ...], Any] = {}
@@ -102,7 +102,7 @@ class SceneRenderer:
         self._sample = -1
 
     def _pose_of_entry(self, entry: Mapping[str, Any]) -> PosedTake | None:
-        """Return the posed take of a manifest entry; None without a take."""
+        """Return the posed take of a manifest entry; None if it has no take."""
         take = entry.get("take")
         return None if take is None else self._poses[take]
 
@@ -285,7 +285,7 @@ class SceneRenderer:
     def _has_surfaces(self) -> bool:
         """Whether any mesh or instance is shown, not just bones."""
         return "meshes" in self._shown_layers and any(
-            mesh.pose is not None or mesh.record.get("cache") is not None
+            mesh.pose is not None or mesh.manifest_entry.get("cache") is not None
             for mesh in self._meshes
         )
 

@@ -48,10 +48,16 @@ def vertex_normals(points: Array, faces: Array) -> FloatArray:
 class GeometryBuffers:
     """Vertex buffers of a rest mesh, shared by meshes with the same streams."""
 
-    def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
-        self.rest_points = streams.static_values(record["points"]).reshape(-1, 3)
+    def __init__(
+        self, device: Device, streams: StreamReader, manifest_entry: dict[str, Any]
+    ):
+        self.rest_points = streams.static_values(manifest_entry["points"]).reshape(
+            -1, 3
+        )
         self.faces = (
-            streams.static_values(record["faces"]).astype(np.uint32).reshape(-1, 3)
+            streams.static_values(manifest_entry["faces"])
+            .astype(np.uint32)
+            .reshape(-1, 3)
         )
         self.is_smooth = len(self.rest_points) >= MIN_SMOOTH_POINTS
         self.radius = float(np.abs(self.rest_points).max(initial=0.0))
@@ -62,15 +68,17 @@ class GeometryBuffers:
             (self.points.buffer, "3f", "point"),
             (self.normals.buffer, "3f", "normal"),
         ]
-        self.has_colors = record.get("colors") is not None
+        self.has_colors = manifest_entry.get("colors") is not None
         if self.has_colors:
-            point_colors = streams.static_values(record["colors"]).astype(np.uint8)
+            point_colors = streams.static_values(manifest_entry["colors"]).astype(
+                np.uint8
+            )
             self.buffers.append(
                 (device.gl.buffer(point_colors.tobytes()), "3f1", "paint")
             )
         self.joints: Array = np.zeros((0, 4), np.uint16)
         self.bind: FloatArray = np.zeros((0, 4, 4))
-        if skin := record.get("skin"):
+        if skin := manifest_entry.get("skin"):
             self.joints = streams.static_values(skin["joints"]).astype(np.uint16)
             bind = streams.static_values(skin["bind"]).reshape(-1, 4, 4)
             self.bind = bind.swapaxes(1, 2).astype(np.float64)
@@ -95,13 +103,13 @@ class MeshRenderer:
         self,
         device: Device,
         streams: StreamReader,
-        record: dict[str, Any],
+        manifest_entry: dict[str, Any],
         pose: PosedTake | None,
         geometries: dict[tuple[Any, ...], GeometryBuffers],
     ) -> None:
         self._device, self._streams = device, streams
-        self.record, self.pose = record, pose
-        self.is_prototype = bool(record.get("prototype"))
+        self.manifest_entry, self.pose = manifest_entry, pose
+        self.is_prototype = bool(manifest_entry.get("prototype"))
         self.geometry = self._shared_geometry(geometries)
         self._drawn_points = self.geometry.rest_points
         self._shapes = [
@@ -112,10 +120,10 @@ class MeshRenderer:
                 .reshape(-1, 3)
                 .astype(np.float64),
             )
-            for shape in record.get("shapes") or []
+            for shape in manifest_entry.get("shapes") or []
         ]
         self._applied_weights = np.zeros(len(self._shapes))
-        skin = record.get("skin") if pose else None
+        skin = manifest_entry.get("skin") if pose else None
         self._joints = np.array(skin["palette"], np.int64) if skin else None
         self._palette = TextureTable(device)
         self.is_hidden = False
@@ -123,7 +131,7 @@ class MeshRenderer:
         defines = {"SKIN": skin, "PAINT": has_colors, "INSTANCES": self.is_prototype}
         names = tuple(name for name, is_on in defines.items() if is_on)
         self.program = device.program("meshes.js", defines=names)
-        color = record.get("color")
+        color = manifest_entry.get("color")
         self._color = srgb_bytes(DEFAULT_COLOR if color is None else color) / 255
         self._array: Any = None
         if not self.is_prototype:
@@ -133,16 +141,21 @@ class MeshRenderer:
         self, geometries: dict[tuple[Any, ...], GeometryBuffers]
     ) -> GeometryBuffers:
         """Return the buffers of the rest mesh, shared with equal undeformed meshes."""
-        record, skin = self.record, self.record.get("skin") or {}
-        if record.get("cache") is not None or record.get("shapes"):
-            return GeometryBuffers(self._device, self._streams, record)
+        manifest_entry, skin = (
+            self.manifest_entry,
+            self.manifest_entry.get("skin") or {},
+        )
+        if manifest_entry.get("cache") is not None or manifest_entry.get("shapes"):
+            return GeometryBuffers(self._device, self._streams, manifest_entry)
         names = ("points", "faces", "colors")
         key = tuple(
-            [record.get(name) for name in names]
+            [manifest_entry.get(name) for name in names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
         )
         if key not in geometries:
-            geometries[key] = GeometryBuffers(self._device, self._streams, record)
+            geometries[key] = GeometryBuffers(
+                self._device, self._streams, manifest_entry
+            )
         return geometries[key]
 
     def vertex_array(self, extra_buffers: list[tuple[Any, str, str]]) -> Any:
@@ -167,9 +180,9 @@ class MeshRenderer:
 
     def update(self, sample: int) -> None:
         """Set the points or joint matrices of the mesh at a sample."""
-        pose, record = self.pose, self.record
+        pose, manifest_entry = self.pose, self.manifest_entry
         first = pose.first_sample if pose else 0
-        visibility_stream = record.get("visible")
+        visibility_stream = manifest_entry.get("visible")
         self.is_hidden = (
             visibility_stream is not None
             and self._streams.sample_values(visibility_stream, sample - first)[0] == 0
@@ -181,13 +194,15 @@ class MeshRenderer:
             texels = np.zeros((len(matrices), 4, 4), np.float32)
             texels[:, :3], texels[:, 3, 0] = matrices[:, :3], -1
             self._palette.upload(texels.reshape(-1, 4))
-        shape_track = pose.record.get("shapes") if pose else None
+        shape_track = pose.manifest_entry.get("shapes") if pose else None
         if pose is not None and shape_track and self._shapes:
             weights = pose.sample_values(shape_track["weights"], sample)
             if weights is not None:
                 self._apply_shapes(weights)
-        if record.get("cache") is not None:
-            cached_points = self._streams.sample_values(record["cache"], sample - first)
+        if manifest_entry.get("cache") is not None:
+            cached_points = self._streams.sample_values(
+                manifest_entry["cache"], sample - first
+            )
             self._drawn_points = cached_points.reshape(-1, 3)
             self.geometry.set_points(self._drawn_points)
 
@@ -231,7 +246,11 @@ class MeshRenderer:
 
         ``radius`` [m] is that of the scene.
         """
-        if self.pose or self.is_prototype or self.record.get("cache") is not None:
+        if (
+            self.pose
+            or self.is_prototype
+            or self.manifest_entry.get("cache") is not None
+        ):
             return False
         low = self.geometry.rest_points.min(axis=0)
         high = self.geometry.rest_points.max(axis=0)
@@ -265,13 +284,13 @@ class InstanceRenderer:
         self,
         device: Device,
         streams: StreamReader,
-        record: dict[str, Any],
+        manifest_entry: dict[str, Any],
         mesh: MeshRenderer,
     ) -> None:
-        self._streams, self._record, self._mesh = streams, record, mesh
+        self._streams, self._manifest_entry, self._mesh = streams, manifest_entry, mesh
         self._matrix_buffer, self._colors = VertexBuffer(device), VertexBuffer(device)
-        self._instance_count = streams.width(record["t"]) // 3
-        color = mesh.record.get("color") or DEFAULT_COLOR
+        self._instance_count = streams.width(manifest_entry["t"]) // 3
+        color = mesh.manifest_entry.get("color") or DEFAULT_COLOR
         self._colors.write(repeat_color(self._instance_count, srgb_bytes(color)))
         self._array: Any = None
         self.pose = None
@@ -279,18 +298,18 @@ class InstanceRenderer:
 
     def update(self, sample: int) -> None:
         """Set the transforms of the instances at a sample."""
-        streams, record = self._streams, self._record
+        streams, manifest_entry = self._streams, self._manifest_entry
         positions, rotations = (
-            streams.sample_values(record[component], sample).astype(np.float64)
+            streams.sample_values(manifest_entry[component], sample).astype(np.float64)
             for component in "tr"
         )
         positions, rotations = positions.reshape(-1, 3), rotations.reshape(-1, 4)
         is_visible = np.isfinite(positions[:, 0])
-        if record["visible"] is not None:
-            is_visible &= streams.sample_values(record["visible"], sample) != 0
+        if manifest_entry["visible"] is not None:
+            is_visible &= streams.sample_values(manifest_entry["visible"], sample) != 0
         visible_scales = None
-        if record["s"] is not None:
-            scales = streams.sample_values(record["s"], sample).reshape(-1, 3)
+        if manifest_entry["s"] is not None:
+            scales = streams.sample_values(manifest_entry["s"], sample).reshape(-1, 3)
             visible_scales = scales[is_visible].astype(np.float64)
         self.matrices = compose_matrices(
             positions[is_visible], rotations[is_visible], visible_scales
@@ -319,17 +338,19 @@ class InstanceRenderer:
 class PointRenderer:
     """Draws the points of a simulation or a capture."""
 
-    def __init__(self, device: Device, streams: StreamReader, record: dict[str, Any]):
-        self._streams, self._record = streams, record
+    def __init__(
+        self, device: Device, streams: StreamReader, manifest_entry: dict[str, Any]
+    ):
+        self._streams, self._manifest_entry = streams, manifest_entry
         self._sprites = SpriteRenderer(device)
-        count = streams.width(record["positions"]) // 3
+        count = streams.width(manifest_entry["positions"]) // 3
         self._point_colors = repeat_color(
-            count, srgb_bytes(record.get("color") or POINT_COLOR)
+            count, srgb_bytes(manifest_entry.get("color") or POINT_COLOR)
         )
-        if record.get("colors") is not None:
-            colors = streams.static_values(record["colors"]) / 255
+        if manifest_entry.get("colors") is not None:
+            colors = streams.static_values(manifest_entry["colors"]) / 255
             self._point_colors = srgb_bytes(colors).astype(np.uint8).reshape(-1, 3)
-        radii = record.get("radii")
+        radii = manifest_entry.get("radii")
         self._radii = None if radii is None else streams.static_values(radii)
         self.pose = None
         self._points = np.zeros((0, 3))
@@ -337,7 +358,7 @@ class PointRenderer:
     def update(self, sample: int) -> None:
         """Set the positions of the points at a sample."""
         self._points = move_missing_offscreen(
-            self._streams.sample_values(self._record["positions"], sample)
+            self._streams.sample_values(self._manifest_entry["positions"], sample)
         )
         self._sprites.set_points(self._points, self._point_colors, self._radii)
 
@@ -347,7 +368,7 @@ class PointRenderer:
 
     def draw(self, eye: EyeMatrices) -> None:
         """Draw the points as balls of their radii."""
-        self._sprites.draw(eye, self._record.get("radius") or 0.0, 2)
+        self._sprites.draw(eye, self._manifest_entry.get("radius") or 0.0, 2)
 
 
 class StrandRenderer:
@@ -357,27 +378,29 @@ class StrandRenderer:
         self,
         device: Device,
         streams: StreamReader,
-        record: dict[str, Any],
+        manifest_entry: dict[str, Any],
         pose: PosedTake | None,
     ) -> None:
-        self._streams, self._record, self.pose = streams, record, pose
+        self._streams, self._manifest_entry, self.pose = streams, manifest_entry, pose
         self._lines = LineRenderer(device)
-        counts = streams.static_values(record["counts"]).astype(np.int64)
+        counts = streams.static_values(manifest_entry["counts"]).astype(np.int64)
         has_next = np.ones(int(counts.sum()), bool)
         has_next[np.cumsum(counts) - 1] = False
         self._segment_starts = np.flatnonzero(has_next)
-        color = srgb_bytes(record.get("color") or STRAND_COLOR)
+        color = srgb_bytes(manifest_entry.get("color") or STRAND_COLOR)
         self._color = np.append(color, 255.0)
         self._points = np.zeros((0, 3))
 
     def update(self, sample: int) -> None:
         """Set the points of the strands at a sample."""
-        pose, record = self.pose, self._record
+        pose, manifest_entry = self.pose, self._manifest_entry
         first = pose.first_sample if pose else 0
-        stream_values = self._streams.sample_values(record["points"], sample - first)
+        stream_values = self._streams.sample_values(
+            manifest_entry["points"], sample - first
+        )
         points = stream_values.reshape(-1, 3).astype(np.float64)
         if pose is not None:
-            joint, bind = record.get("joint"), record.get("bind")
+            joint, bind = manifest_entry.get("joint"), manifest_entry.get("bind")
             if joint is not None and bind:
                 matrix = pose.world_matrices[joint] @ np.reshape(bind, (4, 4)).T
                 points = points @ matrix[:3, :3].T + matrix[:3, 3]
@@ -394,4 +417,6 @@ class StrandRenderer:
     def draw(self, eye: EyeMatrices) -> None:
         """Draw the strands, unless their take is hidden."""
         if self.pose is None or self.pose.is_visible:
-            self._lines.draw(eye, width=1, world_width=self._record.get("width") or 0.0)
+            self._lines.draw(
+                eye, width=1, world_width=self._manifest_entry.get("width") or 0.0
+            )

@@ -136,7 +136,7 @@ def run_outputs(
 
 
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
-    """Run a planned bake to one USD file; return its report with the times."""
+    """Execute the plan of a bake to one USD file and return its report with timings."""
     start_time = time.perf_counter()
     baked_takes = [BakedTake(take, plan.recorder) for take in plan.takes]
     state = BakeState(plan, progress, baked_takes)

@@ -46,7 +46,7 @@ class DeformedCharacter:
     def with_meshes(
         self, surfaces: Sequence[str], strands: Sequence[str]
     ) -> DeformedCharacter:
-        """Return a copy with only the named surfaces and strands; the order stays."""
+        """Return a copy with only the named surfaces and strands, in the same order."""
         is_selected = [mesh.name in surfaces for mesh in self.surfaces]
         is_selected += [mesh.name in strands for mesh in self.strands]
         return replace(

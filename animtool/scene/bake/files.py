@@ -52,7 +52,7 @@ class ConvertReport:
     keyed_take: KeyedTake | None = None
     # Every file written, ``output`` last.
     files: list[Path] = field(default_factory=list)
-    shot: Shot | None = None  # written shot; None without one
+    shot: Shot | None = None  # written shot; None if there is none
     # Scores of the source's passes.
     scores: list[PassScores] = field(default_factory=list)
     command: str = "convert"  # kind of the report
@@ -79,7 +79,7 @@ class ConvertReport:
 
     @property
     def cost(self) -> OutputCost:
-        """Cost of the conversion, as far as it was measured."""
+        """Measured cost of the conversion."""
         key_error = None if self.reduction is None else self.reduction.error
         return OutputCost(str(self.output), None, key_error)
 
@@ -221,7 +221,7 @@ def _bind_poses(rig: Rig, full_rig: Rig) -> dict[str, Pose]:
 def _take_files(
     writer: Writer, take: Take, path: Path, options: WriteOptions
 ) -> TakeFiles:
-    """Return the files that a writer makes of a take, not written yet."""
+    """Return the files that a writer creates for a take, not yet written."""
     if writer.take:
         write = cast(Callable[..., TakeFiles], load_object(writer.take))
         return write(take, path, options)

@@ -108,7 +108,7 @@ def sample_take(plan: TakePlan, stream: TakeStream) -> SampledTake:
 def _interpolation_notices(
     plan: TakePlan, sampler: TakeSampler, times: SampleTimes
 ) -> list[Fault]:
-    """Return notices of interpolation errors, without those that a pass reported."""
+    """Return notices about interpolation errors, except those that a pass reported."""
     reported_codes = {notice.code for notice in plan.stream.notices}
     positions = FramePositions(times.frames, times.fractions)
     hint = f"{argument('keep_samples', True)} keeps the frames as is"
@@ -173,13 +173,13 @@ def _range_hint(plan: TakePlan, frames: FrameRange, clock: Clock) -> str | None:
         )
     if plan.options.start is None and frames.last - frames.first <= span:
         start = argument("start", frames.first)
-        range_text = f"{start} numbers the first frame of the take {frames.first}"
-        return clause(range_text) or None
+        hint = f"{start} numbers the first frame of the take {frames.first}"
+        return clause(hint) or None
     return None
 
 
 def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
-    """Return notices of frames of a shot that the take lacks.
+    """Return notices about frames of a shot that the take lacks.
 
     The last frame of a take lasts until the next frame would begin.
     """
@@ -292,8 +292,8 @@ def _end_notices(plan: TakePlan, times: SampleTimes) -> list[Fault]:
     """Return notices if the take's last frame or an end of a range is not written."""
     frame_range = plan.options.frame_range
     notices = []
-    if times.dropped_at_end:
-        note = dropped_notice(times.dropped_at_end, plan.fps, times.last)
+    if times.dropped_duration_at_end:
+        note = dropped_notice(times.dropped_duration_at_end, plan.fps, times.last)
         hint = f"{argument('keep_samples', True)} writes it"
         notices.append(replace(note, hint=hint))
     if frame_range is None or plan.options.shot is not None:

@@ -28,7 +28,7 @@ from animtool.scene.bake.progress import prefetch, timed_items
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
-from animtool.usd.rigs.skeleton import build_rest_record
+from animtool.usd.rigs.skeleton import build_rest_metadata
 from animtool.usd.takes.author import AuthoredLayers, author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 
@@ -186,7 +186,7 @@ class _JointTake:
             props=self._baked_take.props,
             rig_from_take=None if joint_map is None else joint_map.rig_from_take,
             is_reduced=self._thinned_samples is not None,
-            rest_record=build_rest_record(plan.stream.rig, rig)
+            rest_metadata=build_rest_metadata(plan.stream.rig, rig)
             if joint_map is None
             else {},
         )

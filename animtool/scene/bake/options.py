@@ -364,7 +364,7 @@ class BakeOptions:
 
 
 def _range_option(frames: FrameRangeLike) -> FrameRange:
-    """Return a range that text, a pair of frames or a list states (SCN003)."""
+    """Parse a frame range from text, a pair of frames or a list (SCN003)."""
     try:
         if isinstance(frames, str):
             return parse_frame_range(frames)
@@ -374,7 +374,7 @@ def _range_option(frames: FrameRangeLike) -> FrameRange:
 
 
 def _frame_option(start: FractionLike) -> Fraction:
-    """Return a time code that text or a number states (SCN033)."""
+    """Parse a time code from text or a number (SCN033)."""
     try:
         return parse_frame(start)
     except ValueError as error:

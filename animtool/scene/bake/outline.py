@@ -41,7 +41,7 @@ class OutputEntry:
 
     path: Path  # the file to write, or `STDOUT`
     options: BakeOptions  # options of the bake, with those of the scene
-    # The scene, with only the systems of this output; None without a scene.
+    # The scene, with only the systems of this output; None if there is no scene.
     scene: Scene | None = None
     # Location of the output in the scene file, if the scene names it.
     location: EntryLocation | None = None
@@ -211,7 +211,7 @@ def check_outline(outline: Outline) -> None:
 
 
 def duplicate_outputs(outline: Outline) -> list[Fault]:
-    """Return faults of scene outputs that are the same file (OUT007)."""
+    """Return a fault for each scene output that repeats a file (OUT007)."""
     entry_by_file: dict[str, OutputEntry] = {}
     faults = []
     for entry in outline.outputs:
@@ -230,7 +230,7 @@ def duplicate_outputs(outline: Outline) -> list[Fault]:
 def check_output_entry(
     entry: OutputEntry, inputs: Sequence[Path], source: Path
 ) -> None:
-    """Raise the faults of one output before anything is read.
+    """Raise all faults in the options of an output before anything is read.
 
     ``inputs`` are the files that are read; the first, ``source``, names a take.
     """

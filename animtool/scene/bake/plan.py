@@ -262,7 +262,7 @@ def _with_systems(plan: BakePlan, scene: Scene) -> BakePlan:
 def plan_takes(
     sources: Sequence[Path],
     streams: list[TakeStream],
-    path: Path,
+    output: Path,
     options: BakeOptions,
     notices: list[Fault],
     stated_names: tuple[str, ...] = (),
@@ -273,9 +273,9 @@ def plan_takes(
     """
     form = layer_form(options)
     is_library = form is LayerForm.LIBRARY
-    extends_library = is_library and path != STDOUT and path.exists()
+    extends_library = is_library and output != STDOUT and output.exists()
     target = _open_rig_layer(
-        path if extends_library else options.rig_layer, options.prim_path
+        output if extends_library else options.rig_layer, options.prim_path
     )
     joint_maps: Sequence[RigJointMap | None]
     if target is None:
@@ -313,7 +313,9 @@ def plan_takes(
     reason = f"{'no' if target is None else 'a'} rig layer was set"
     if options.form is not None:
         reason = "asked for"
-    plan = BakePlan(takes, path, options, form, reason, target, fps, start, notices, ())
+    plan = BakePlan(
+        takes, output, options, form, reason, target, fps, start, notices, ()
+    )
     _check_props(plan)
     return replace(plan, prims=(_take_prims(takes[0], target),))
 

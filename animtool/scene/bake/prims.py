@@ -152,9 +152,7 @@ def take_report(
         meshes=list(meshes),
         simulated=list(stream.simulated),
         scores=list(stream.scores),
-        between_frames=0
-        if sample_times is None
-        else sample_times.dropped_between_frames,
+        between_frames=0 if sample_times is None else sample_times.dropped_sample_count,
     )
 
 
@@ -172,7 +170,7 @@ class BakeReport:
     notices: list[Fault]  # warnings and notes
     # Wall time by stage; ``read`` overlaps with ``author``.
     seconds: dict[str, float] = field(default_factory=dict)
-    shot: Shot | None = None  # written shot; None without one
+    shot: Shot | None = None  # written shot; None if there is none
     # Why a system stopped before the last frame, if frames before it are kept.
     stopped: ToleranceError | None = None
     json_keys: ClassVar[str] = (

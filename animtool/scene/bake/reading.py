@@ -260,7 +260,7 @@ def check_file_options(options: BakeOptions, writer: Writer, path: Path) -> None
 
 
 def key_option_fault(name: str, path: Path) -> Fault:
-    """Return the fault of a key option on a file that holds samples (CLI004)."""
+    """Return a fault for an option of keys with a file that holds samples (CLI004)."""
     message = f"{name} applies to keys, but this output holds samples"
     hint = f"write a .clip.yaml, or bake to USD with {argument('reduce')}"
     return Fault("CLI004", message, str(path), (), hint)

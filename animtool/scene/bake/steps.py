@@ -44,7 +44,7 @@ class PlanStep:
 
     kind: StepKind  # kind of step
     name: str  # name of a file or a pass
-    where: str  # key of its entry in the scene; empty without one
+    where: str  # key of its entry in the scene; empty if it has none
     reads: tuple[str, ...]  # its inputs: files, and parts of the take
     makes: tuple[str, ...]  # its results
     left_out: tuple[str, ...] = ()  # omitted parts, each with the reason
@@ -216,7 +216,7 @@ def _written_step(
 ) -> PlanStep:
     """Return the step of an output, with its files added to the result."""
     key = "" if entry.scene is None else entry.scene.outputs[0].location.where
-    # Existing files are marked; without a file it is stdout.
+    # Existing files are marked; an output that has no file is stdout.
     files = [f"{file} (exists)" if file.exists() else str(file) for file in entry.files]
     results = (result_text, *(files or ["stdout"]))
     return PlanStep(

@@ -97,18 +97,19 @@ def _unit_hint(text: str) -> str:
     return f"; for {unit} write {offsets_text}"
 
 
-def parse_frame(text: FractionLike) -> Fraction:
-    """Parse a time code such as ``1001`` or ``1000.5``.
+def parse_frame(time_code: FractionLike) -> Fraction:
+    """Parse a frame such as ``1001`` or ``1000.5``.
 
     >>> parse_frame("1000.5")
     Fraction(2001, 2)
     """
     try:
-        frame = exact_number(text)
+        frame = exact_number(time_code)
     except (ValueError, ArithmeticError) as error:
-        raise ValueError(f"{excerpt(str(text))} is not a frame such as 1001") from error
+        message = f"{excerpt(str(time_code))} is not a frame such as 1001"
+        raise ValueError(message) from error
     if abs(frame) > MAX_FRAME:
-        raise ValueError(f"frame {text!r} is beyond {MAX_FRAME}")
+        raise ValueError(f"frame {time_code!r} is beyond {MAX_FRAME}")
     return frame
 
 

@@ -132,7 +132,7 @@ def _expand_short_forms(document: Document) -> None:
 
 
 def stated_rate(path: Path) -> Fraction | None:
-    """Return the rate that a scene file states as a number; None without one."""
+    """Return the rate that a scene file states as a number; None if it states none."""
     document = read_document(path).value
     fps = document.get("fps") if isinstance(document, dict) else None
     try:
@@ -438,7 +438,7 @@ class _PassReader:
 def _check_pass(
     reader: KeyReader, location: Location, pass_: Pass, options: Any
 ) -> None:
-    """Record faults of options that do not depend on the take."""
+    """Record faults in options that can be found without the take."""
     for option, check in pass_.checks(options).items():
         try:
             check()

@@ -79,7 +79,7 @@ class FaceJob:
 
     @property
     def solved_output(self) -> SolvedOutput:
-        """Where to write the solved take; nothing without an output."""
+        """Where to write the solved take; empty if there is no output."""
         return SolvedOutput.of(self.output, self.capture, self.bake, self.rig)
 
 

@@ -92,7 +92,7 @@ class IkJob:
 
     @property
     def solved_output(self) -> SolvedOutput:
-        """Where to write the solved take; nothing without an output."""
+        """Where to write the solved take; empty if there is no output."""
         source = self.targets if self.start is None else self.start
         rig = _named_rig(self.rig, self.output)
         return SolvedOutput.of(self.output, source, self.bake, rig)
@@ -162,7 +162,7 @@ class MissedGoalsError(ToleranceError):
 
 
 @dataclass(frozen=True, slots=True)
-class IkContext:
+class IkInputs:
     """A rig, its targets, and the take to solve."""
 
     tracks: TargetTracks  # the targets
@@ -172,7 +172,7 @@ class IkContext:
     notices: list[Fault]  # warnings collected so far
 
 
-def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
+def open_ik(job: IkJob, *, progress: Progress = None) -> IkInputs:
     """Open the rig, the targets and the start poses of a job."""
     rig, notices = open_rig(job.rig)
     tracks = load_targets(job.targets, rig)
@@ -184,11 +184,11 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkContext:
             clock = replace(clock, start=job.frame, count=1)
             tracks = tracks.at_clock(tracks.clock)
         take = rest_take(rig, clock)
-        return IkContext(tracks, take, True, 0 if job.pose else None, notices)
+        return IkInputs(tracks, take, True, 0 if job.pose else None, notices)
     take = open_start(job.start, rig, job.rig, job.source, progress=progress)
     notices += take.notices
     only_index = frame_index(take, job.frame, job.start) if job.pose else None
-    return IkContext(tracks, take, False, only_index, notices)
+    return IkInputs(tracks, take, False, only_index, notices)
 
 
 def _outside_targets_warning(job: IkJob, tracks: TargetTracks) -> list[Fault]:
@@ -265,15 +265,15 @@ def _named_rig(rig: Path, output: Path | None) -> Path | None:
 def _solve(job: IkJob, progress: Progress) -> IkReport:
     start_time = time.perf_counter()
     with protect_inputs(job.solved_output.files):
-        context = open_ik(job, progress=progress)
+        inputs = open_ik(job, progress=progress)
     read_end_time = time.perf_counter()
     with faults_in(job.rig):
         solution = solve_take(
-            context.take,
-            context.tracks,
+            inputs.take,
+            inputs.tracks,
             _with_goal_tolerances(job),
-            static=context.is_at_rest,
-            only=context.only_index,
+            static=inputs.is_at_rest,
+            only=inputs.only_index,
             progress=progress,
         )
     solve_seconds = time.perf_counter() - read_end_time
@@ -281,9 +281,9 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
     goals = goal_reports(solution, *_goal_tolerances(job))
     missed_goal_notices = missed_notices(solution, goals)
     notices = [
-        *context.notices,
+        *inputs.notices,
         *span_notices(solution),
-        *(rest_notices(solution) if context.is_at_rest else ()),
+        *(rest_notices(solution) if inputs.is_at_rest else ()),
         *independent_frame_notices(solution, is_smoothed=job.options.smooth > 0),
         *far_target_notices(solution, goals),
         *pole_notices(solution),

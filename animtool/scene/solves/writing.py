@@ -81,7 +81,7 @@ class SolvedOutput:
         source_kind: str | None = None,
         progress: Progress = None,
     ) -> None:
-        """Write a take and complete the report; without an output, solve only.
+        """Write a take and complete the report; only solve if there is no output.
 
         ``source_kind`` replaces the take's details in the report; None keeps them.
 

@@ -105,7 +105,7 @@ def _reopen(path: Path) -> ClipFile | None:
 def _located_fault(
     path: Path, file: ClipFile | None, rig: Rig, notice: ClipNotice
 ) -> Fault:
-    """Return the fault of a notice, located at the key or channel that causes it."""
+    """Return a notice as a fault, located at the key or channel that causes it."""
     if file is None:
         return replace(notice.fault, path=str(path))
     for i, channel in _causing_channels(file, rig, notice.target):

@@ -275,12 +275,12 @@ class _JoinedTake:
         return merged_curves
 
     def _report_frames(self, count: int) -> None:
-        """Add notices of the missing and unused frames of each source."""
+        """Add notices about missing and unused frames of each source."""
         for layer in self.layers:
             self.base.notices.extend(self._frame_notices(layer, count))
 
     def _frame_notices(self, layer: _Layer, count: int) -> Iterator[Fault]:
-        """Yield notices of missing and unused frames of a source."""
+        """Yield notices about missing and unused frames of a source."""
         clock, note = layer.take.clock, layer.source.entry.location.fault
         # In frames of the first source, from its first.
         begin, last = layer.delay * self._rate, Fraction(count - 1)

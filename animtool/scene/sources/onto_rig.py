@@ -158,7 +158,7 @@ def map_to_rig(
 
 
 def unmapped_notices(name_map: NameMap, other_rig: Rig, path: str) -> list[Fault]:
-    """Return notices of tracks that only one of two rigs has."""
+    """Return notices about tracks that only one of two rigs has."""
     shapes = set(name_map.shapes.tolist())
     joints = [other_rig.names[index] for index in name_map.unmatched_joints]
     other_shapes = enumerate(other_rig.shapes)

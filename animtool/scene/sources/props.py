@@ -158,7 +158,7 @@ class _TimedProp:
         return apply_animated_placement(track, inverse_placement)
 
     def notices(self, fps: Fraction) -> Iterator[Fault]:
-        """Yield notices of the prop that do not depend on frames."""
+        """Yield notices about the prop that do not depend on frames."""
         source, entry = self.open_prop.source, self.open_prop.entry
         note = entry.location.fault
         if names := source.fallback_attributes:

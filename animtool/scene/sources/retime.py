@@ -1,4 +1,4 @@
-"""Retiming of takes: pre-roll frames, frames of a shot, and shots without any."""
+"""Retiming of takes: pre-roll frames, frames of a shot, and shots that have none."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ HOUR_TOLERANCE = 600
 def no_frames_error(
     shot: Shot, first: int, last: int, length: Fraction, path: str | None = None
 ) -> OptionError:
-    """Return the error of a shot whose frames are all outside its take (SCN042).
+    """Return the error for a shot whose frames are all outside its take (SCN042).
 
     The shot places its media. ``length`` is the duration of the take [s].
     """

@@ -41,7 +41,7 @@ class JointCarrier:
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return the fault of an unknown joint, at its key; None if the rig has it."""
+        """Return a fault at the key of the joint if the rig lacks it, else None."""
         if self.joint in rig.names:
             return None
         message = f"unknown joint {self.joint!r} of {rig.name!r}"
@@ -68,7 +68,7 @@ class VertexCarrier:
     location: EntryLocation | None = field(default=None, compare=False, repr=False)
 
     def fault(self, rig: Rig) -> Fault | None:
-        """Return the fault of an unknown vertex, at its key; None if it exists."""
+        """Return a fault at the key of the vertex if it does not exist, else None."""
         fault = missing_mesh_fault(rig, self.mesh)
         if fault is not None:
             return fault

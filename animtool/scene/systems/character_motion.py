@@ -85,7 +85,7 @@ CACHED_FRAME_COUNT = 4
 
 
 def missing_mesh_fault(rig: Rig, name: str) -> Fault | None:
-    """Return the fault of a mesh that a rig lacks (SIM053); None where it exists."""
+    """Return a fault if a rig lacks a mesh (SIM053), else None."""
     mesh_names = [surface.name for surface in surfaces_of(rig)]
     if name in mesh_names:
         return None

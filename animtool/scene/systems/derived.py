@@ -242,7 +242,7 @@ class SpecEntryReader(EntryReader):
         return None if self.try_read(location, source) is None else source
 
     def physics(self, location: Location, model: PhysicsStageModel) -> Physics | None:
-        """Return the UsdPhysics bodies of a stage; None with faults (SIM051)."""
+        """Return a stage's UsdPhysics bodies; None after recording faults (SIM051)."""
         from animtool.usd.physics.read import read_bodies
 
         path = self.find_followed((*location, "file"), model.file)

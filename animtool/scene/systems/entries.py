@@ -127,7 +127,7 @@ class EntryReader:
     def record_entry_faults(
         self, location: Location, model: FileModel, faults: Sequence[Fault]
     ) -> None:
-        """Record faults of an entry, each at its key or the nearest one present."""
+        """Record faults in an entry, each at its key or the nearest one present."""
         for fault in faults:
             key_location = _present_location(model, parse_location(fault.where or ""))
             self.record_fault((*location, *key_location), fault)
@@ -405,7 +405,7 @@ class EntryReader:
         return values if reason is None else None
 
     def input(self, location: Location, name: str) -> Path | None:
-        """Return a file to read; None with a fault if it is missing."""
+        """Return a file to read, or None after recording that it is missing."""
         path = resolve_input(self.document, location, name, self.roots)
         self.is_valid &= path is not None
         return path

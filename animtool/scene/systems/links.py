@@ -108,7 +108,7 @@ def joined_groups(systems: Sequence[SceneSystem]) -> list[list[int]]:
 def check_links(
     document: Document, systems: Sequence[SceneSystem], names: Sequence[str]
 ) -> None:
-    """Record faults of names of systems, of bodies, of cycles and of joins."""
+    """Record faults in the names of systems and bodies, in joins, and cycles."""
     is_valid = len(systems) == len(names)
     for system in systems:
         setup, scene = system.setup, (document, system, systems, names)
@@ -185,7 +185,7 @@ def to_joined_entry(system: SceneSystem) -> JoinedEntry:
 
 
 def _check_joined(document: Document, systems: Sequence[SceneSystem]) -> None:
-    """Record faults of joined systems, such as keys that differ (SIM054)."""
+    """Record faults in joined systems, such as keys that differ (SIM054)."""
     members = [to_joined_entry(system) for system in systems]
     for system in systems:
         record = system.setup.record

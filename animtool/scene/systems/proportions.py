@@ -40,7 +40,7 @@ def placement_warnings(
     characters: CharacterMotions,
     main_rig: Rig | None = None,
 ) -> list[Fault]:
-    """Return warnings of systems that do not fit their characters.
+    """Return warnings about systems that do not fit their characters.
 
     Pins whose nearest particle is farther away at 0 s than the size of their character
     (SIM168); else systems that are far away or large, but would fit in the unit of the

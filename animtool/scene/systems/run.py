@@ -136,7 +136,7 @@ class SystemRun:
         )
 
     def _system_progress(self, last: float) -> SystemProgress | None:
-        """Return the progress callbacks of the systems; None without progress."""
+        """Return the progress callbacks of the systems; None if none is shown."""
         if self._phases is None:
             return None
 
@@ -261,7 +261,7 @@ class SystemRun:
     def _faults_with_frame(
         self, time_code: Fraction, error: ToleranceError
     ) -> list[Fault]:
-        """Return the faults of a stopped system; the last names the frame."""
+        """Return the faults of an error, with the frame in the last message."""
         *other_faults, last_fault = error.faults
         message = last_fault.message + f", before frame {float(time_code):g}"
         hints = [last_fault.hint] if last_fault.hint else []
@@ -298,7 +298,7 @@ class SystemRun:
         return frame
 
     def add_notices(self, meshes: Sequence[CachedMesh]) -> None:
-        """Add the notices of written meshes, each located at its system."""
+        """Add the notices about written meshes, each located at its system."""
         self._warnings += [
             self.systems[i].location.locate(notice)
             for i, prim in zip(self.written_indices, meshes, strict=True)

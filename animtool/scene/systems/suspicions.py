@@ -305,7 +305,7 @@ def _warn_of_grams(
 
 
 def shape_volume(shape: Mapping[str, Any]) -> float:
-    """Return the volume of a box, sphere or capsule; 0 for any other shape [m³]."""
+    """Return the volume of a box, sphere or capsule [m³]; 0 for any other shape."""
     for name, values in shape.items():
         sizes = values if isinstance(values, Mapping) else {}
         radius = sizes.get("radius") or 0.0

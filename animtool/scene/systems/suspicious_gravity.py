@@ -34,7 +34,7 @@ def warn_of_weak_gravity(
     ``seconds`` is the time from the first to the last frame [s].
     """
     constant = float(spec.gravity_constant)
-    mass, distance, acceleration = _strongest_pull(spec, parts)
+    mass, distance, acceleration = _strongest_gravity(spec, parts)
     if not constant * acceleration * distance > 0:
         return  # nothing attracts, or arrays that are refused are not finite
     seconds = max(seconds, MIN_SECONDS)
@@ -55,12 +55,14 @@ def warn_of_weak_gravity(
     document.warn("SIM200", key_location, message, hint)
 
 
-def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, float]:
-    """Return the total mass, and distance and acceleration where gravity does most.
+def _strongest_gravity(
+    spec: Any, parts: Mapping[str, Any]
+) -> tuple[float, float, float]:
+    """Return the total mass, and the distance and acceleration of the largest effect.
 
     The acceleration is per unit of the gravitational constant [kg/m²].
     """
-    pulls = []
+    extremes = []
     points, masses = [np.zeros((0, 3))], [np.zeros(0)]
     for body, entry_arrays in zip(spec.bodies, parts.get("bodies") or (), strict=False):
         body_points = np.asarray((entry_arrays or {}).get("points", ()), np.float64)
@@ -77,7 +79,7 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
         mass = sum(part.mass for part in galaxy.components)
         radius = max((part.radius for part in galaxy.components), default=0.0)
         masses.append(np.array([mass]))
-        pulls += [(radius, mass / radius**2)] if radius else []
+        extremes += [(radius, mass / radius**2)] if radius else []
     for attractor in spec.attractors:
         points.append(np.array([attractor.at], np.float64))
         masses.append(np.array([attractor.mass]))
@@ -85,9 +87,11 @@ def _strongest_pull(spec: Any, parts: Mapping[str, Any]) -> tuple[float, float, 
     extent = float(np.linalg.norm(np.ptp(all_points, axis=0))) if len(all_points) else 0
     if extent:
         accelerations = _accelerations(all_points, all_masses, float(spec.softening))
-        pulls.append((extent, float(accelerations.max())))
+        extremes.append((extent, float(accelerations.max())))
     total_mass = float(all_masses.sum())
-    distance, acceleration = max(pulls, key=lambda p: p[1] / p[0], default=(0.0, 0.0))
+    distance, acceleration = max(
+        extremes, key=lambda extreme: extreme[1] / extreme[0], default=(0.0, 0.0)
+    )
     return total_mass, float(distance), float(acceleration)
 
 

@@ -98,7 +98,7 @@ def warn_of_layout(
 
 
 def _free_fall_acceleration(kind: str, spec: Any) -> float:
-    """Return the acceleration of a system in free fall; 0 if it cannot fall [m/s²]."""
+    """Return the acceleration of a system in free fall [m/s²]; 0 if it cannot fall."""
     if kind in {"rope", "strands", "cloth", "volume"}:
         is_supported = spec.pins or spec.air is not None or spec.settle
         return 0.0 if is_supported else math.hypot(*spec.gravity)
@@ -121,7 +121,7 @@ def _free_fall_acceleration(kind: str, spec: Any) -> float:
 
 
 def _gravity_of_forces(forces: Sequence[Mapping[str, Any]]) -> float:
-    """Return the gravity of forces; 0 if there is any other force [m/s²]."""
+    """Return the gravity among forces [m/s²]; 0 if there is any other force."""
     total = np.zeros(3)
     for force in forces:
         ((name, options),) = force.items()
@@ -134,7 +134,7 @@ def _gravity_of_forces(forces: Sequence[Mapping[str, Any]]) -> float:
 def _warn_of_fall(
     document: Document, location: Location, system: SceneSystem, fall_distance: float
 ) -> None:
-    """Warn of a system that falls without support (SIM201); ``fall`` is [m]."""
+    """Warn of a system that falls a distance [m] without support (SIM201)."""
     has_pins = hasattr(system.setup.spec, "pins")
     problem = (
         "has no pins and nothing to collide with" if has_pins else "touches nothing"
@@ -336,7 +336,7 @@ def _starts(kind: str, location: Location, spec: Any) -> Iterator[_EntryStart]:
 
 
 def _shape_radius(shape: Mapping[str, Any]) -> float:
-    """Return the radius of a shape about its origin; infinite if unknown [m]."""
+    """Return the radius of a shape about its origin [m]; infinite if unknown."""
     ((name, options),) = shape.items() or (("point", None),)
     values = options or {}
     if name == "box":

@@ -32,13 +32,13 @@ class SceneTimes:
 
     @property
     def length(self) -> float:
-        """Time from the first to the last frame; 0 if unknown [s]."""
+        """Time from the first to the last frame [s]; 0 if unknown."""
         if self.frames is None:
             return 0.0
         return (self.frames[1] - self.frames[0]) / self.rate
 
     def is_late_frame(self, t: float) -> bool:
-        """Return whether a time [s] is after the scene's end but is a frame number."""
+        """Return whether a time [s] is after the scene's end and looks like a frame."""
         if self.frames is None or t != round(t) or t < MIN_SUSPECT_SECONDS:
             return False
         first, last = self.frames
@@ -112,7 +112,7 @@ def _warn_of_picoseconds(
 def _warn_of_step(
     document: Document, location: Location, step: object, times: SceneTimes
 ) -> None:
-    """Warn of a step of rigid bodies that is likely a number of steps a second."""
+    """Warn of a step of rigid bodies that is likely a number of steps per second."""
     if isinstance(step, int | float) and step >= max(MIN_STEPS, times.length):
         message = f"step {step:g} is {step:g} s"
         hint = f"for {step:g} steps a second write {plain_number(1 / step)}"

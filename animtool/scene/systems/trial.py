@@ -79,7 +79,7 @@ def system_trials(
 def _rebuild(
     systems: Sequence[SceneSystem], last_time: float, characters: CharacterMotions
 ) -> BuildContext:
-    """Return a new context with systems that are built for times up to ``last`` [s]."""
+    """Return a new context with systems built for times up to ``last_time`` [s]."""
     context = BuildContext(last_time, characters)
     build_systems(systems, context)
     return context

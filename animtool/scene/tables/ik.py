@@ -35,15 +35,15 @@ ORIENTATION_POINT_DISTANCE = 0.1
 
 def job_trial(job: IkJob) -> Trial:
     """Return the trial of an IK job; nothing is written."""
-    context = open_ik(job)
+    inputs = open_ik(job)
 
     def solve(options: TakeOptions) -> TakeIk:
         return solve_take(
-            context.take,
-            context.tracks,
+            inputs.take,
+            inputs.tracks,
             options,
-            static=context.is_at_rest,
-            only=context.only_index,
+            static=inputs.is_at_rest,
+            only=inputs.only_index,
         )
 
     def scene_text(options: TakeOptions) -> list[str]:

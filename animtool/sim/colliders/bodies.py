@@ -70,9 +70,8 @@ class Wrenches:
     """Linear and angular impulses ``(count, 6)`` [N s], [N m s] about the origin."""
 
     impulses: FloatArray  # sum of the impulses
-    delayed_impulses: (
-        FloatArray  # sum of the impulses times the time since they were applied
-    )
+    # Sum of the impulses times the time since they were applied.
+    time_weighted_impulses: FloatArray
 
     @staticmethod
     def zeros(count: int) -> Wrenches:
@@ -84,18 +83,20 @@ class Wrenches:
         """Return the element-wise sum of several sets of impulses."""
         return Wrenches(
             np.sum([wrench.impulses for wrench in wrenches], axis=0),
-            np.sum([wrench.delayed_impulses for wrench in wrenches], axis=0),
+            np.sum([wrench.time_weighted_impulses for wrench in wrenches], axis=0),
         )
 
     def delayed_by(self, duration: float) -> Wrenches:
         """Return the same impulses as if they were applied ``duration`` [s] earlier."""
-        return Wrenches(self.impulses, self.delayed_impulses + duration * self.impulses)
+        return Wrenches(
+            self.impulses, self.time_weighted_impulses + duration * self.impulses
+        )
 
 
 def body_owners(
     bodies: Sequence[MovingBodies], static_count: int
 ) -> npt.NDArray[np.int32]:
-    """Return the body index of each collider ``(C,)``; -1 without a body.
+    """Return the body index of each collider ``(C,)``; -1 if it has no body.
 
     The first ``static_count`` colliders have no body. Bodies are numbered across all
     systems.
@@ -185,5 +186,5 @@ def exchange_impulses(
     impulses = -masses[touching_indices, None] * fraction * velocity_change
     pushes = np.concatenate([impulses, np.cross(points, impulses)], axis=1)
     np.add.at(wrenches.impulses, owners, pushes)
-    np.add.at(wrenches.delayed_impulses, owners, elapsed_times[:, None] * pushes)
+    np.add.at(wrenches.time_weighted_impulses, owners, elapsed_times[:, None] * pushes)
     return new_state, wrenches

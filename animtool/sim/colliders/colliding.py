@@ -58,7 +58,7 @@ class Contacts:
     """The last contact of each of N particles in a step.
 
     Attributes:
-        colliders: Index of the collider ``(N,)``, -1 without contact; colliders of
+        colliders: Index of the collider ``(N,)``, -1 for no contact; colliders of
             bodies come after the others, sheets after them.
         touches: Kind of contact, a `ContactKind` ``(N,)``.
         normals: Unit normals out of the collider ``(N, 3)``.

@@ -135,7 +135,7 @@ def nearby_states(
     radii: FloatArray,
     spawn_times: FloatArray,
 ) -> NearbyStates | None:
-    """Return the states of nearby particles relative to a sheet; None without any.
+    """Return the states of nearby particles relative to a sheet; None if none is near.
 
     Each particle is in the moving frame of the nearest point of the sheet, whose path
     in the step is straight: in this frame the sheet is at rest in its final shape.

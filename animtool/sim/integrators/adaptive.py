@@ -31,7 +31,7 @@ def step_doubling(base: Integrator) -> Integrator:
         hint = "use one with fixed steps, such as rk4 or implicit_euler"
         raise OptionError(Fault("SIM006", message, where="base", hint=hint))
     gain = 1 / (2**base.order - 1)
-    growth = _doubling_growth(base.growth, gain)
+    stability_polynomial = _doubling_polynomial(base.stability_polynomial, gain)
 
     def doubled_step(
         equations: Equations, t: float, y: FloatArray, h: float, memory: object
@@ -55,8 +55,8 @@ def step_doubling(base: Integrator) -> Integrator:
         order=base.order + 1,
         control=StepControl.ADAPTIVE,
         step=doubled_step,
-        limit=rate_limit(growth) if growth else None,
-        growth=growth,
+        limit=rate_limit(stability_polynomial) if stability_polynomial else None,
+        stability_polynomial=stability_polynomial,
         drag_order=None,
         evaluations=base.evaluations and 3 * base.evaluations,
         error_order=base.order + 1,
@@ -65,14 +65,18 @@ def step_doubling(base: Integrator) -> Integrator:
     )
 
 
-def _doubling_growth(base: tuple[float, ...], gain: float) -> tuple[float, ...]:
+def _doubling_polynomial(
+    base_polynomial: tuple[float, ...], gain: float
+) -> tuple[float, ...]:
     """Return the stability polynomial of two corrected half steps; may be empty."""
-    if not base:
+    if not base_polynomial:
         return ()
-    half_step_polynomial = [c / 2**i for i, c in enumerate(base)]
+    half_step_polynomial = [c / 2**i for i, c in enumerate(base_polynomial)]
     squared_polynomial = poly.polymul(half_step_polynomial, half_step_polynomial)
-    growth = poly.polyadd(squared_polynomial * (1 + gain), poly.polymul(base, [-gain]))
-    return tuple(growth.tolist())
+    polynomial = poly.polyadd(
+        squared_polynomial * (1 + gain), poly.polymul(base_polynomial, [-gain])
+    )
+    return tuple(polynomial.tolist())
 
 
 ADAPTIVE_DOUBLING = step_doubling(RK4)

@@ -32,7 +32,7 @@ class Tableau:
         tuple[float, ...], ...
     ]  # weights of the previous stages, S tuples
     weights: tuple[float, ...]  # weights of the stages ``(S,)``
-    # Error weights ``(S,)``; empty without an embedded estimate.
+    # Error weights ``(S,)``; empty if it has no embedded estimate.
     error_weights: tuple[float, ...] = ()
 
     def step(
@@ -61,23 +61,23 @@ class Tableau:
 
     def integrator(self, name: str, summary: str, order: int) -> Integrator:
         """Return the method's table entry; error weights make it adaptive."""
-        growth = self.growth()
+        stability_polynomial = self.stability_polynomial()
         return Integrator(
             name,
             summary,
             order=order,
             control=StepControl.ADAPTIVE if self.error_weights else StepControl.FIXED,
             step=self.step,
-            limit=rate_limit(growth),
-            growth=growth,
+            limit=rate_limit(stability_polynomial),
+            stability_polynomial=stability_polynomial,
             evaluations=len(self.nodes) - self.first_as_last,
             error_order=order if self.error_weights else 0,
         )
 
-    def growth(self) -> tuple[float, ...]:
+    def stability_polynomial(self) -> tuple[float, ...]:
         """Return the stability polynomial R: a step multiplies ``y' = λ y`` by R(h λ).
 
-        >>> Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).growth()
+        >>> Tableau((0.0, 0.5), ((), (0.5,)), (0.0, 1.0)).stability_polynomial()
         (1.0, 1.0, 0.5)
         """
         stage_count = len(self.nodes)

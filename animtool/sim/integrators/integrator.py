@@ -44,7 +44,7 @@ class StepResult:
 
     state: FloatArray  # state after the step
     memory: object = None  # data for the next step
-    # Error estimate in the state's shape; None without an estimate.
+    # Error estimate in the state's shape; None if there is no estimate.
     error: FloatArray | None = None
 
 
@@ -68,12 +68,12 @@ class Integrator:
         control: How the step size is chosen.
         step: Function of one step; None for SciPy's solvers.
         limit: Largest stable step; None if the method controls its steps itself.
-        growth: Coefficients of the stability polynomial R, ascending: a step multiplies
+        stability_polynomial: Coefficients of R, ascending: a step multiplies
             ``y' = λ y`` by R(h λ). Empty unless the method is explicit and uses rates.
         drag_order: Order if accelerations depend on velocities; None is `order`.
         evaluations: Evaluations of rates or accelerations in a step; None if it varies.
         error_order: Power of the step size to which the error estimate is proportional;
-            0 without an estimate.
+            0 if there is no estimate.
         is_multistep: Whether a step uses previous steps.
         is_implicit: Whether a step solves equations.
         is_symplectic: Whether it preserves phase-space area: the energy of systems
@@ -89,7 +89,7 @@ class Integrator:
     control: StepControl = StepControl.FIXED
     step: StepFunction | None = None
     limit: Limit | None = None
-    growth: tuple[float, ...] = ()
+    stability_polynomial: tuple[float, ...] = ()
     drag_order: int | None = None
     evaluations: int | None = None
     error_order: int = 0

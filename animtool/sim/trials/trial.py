@@ -76,7 +76,7 @@ class Figure(StrEnum):
 
     STRETCH = "stretch"  # largest spring elongation over its rest length [1]
     DEPTH = "depth"  # largest penetration of cloth [m]
-    PIERCED = "pierced"  # largest number of edge-face pairs that pierce each other
+    PIERCED = "pierced"  # largest number of edge-face pairs that intersect
     MISS = "miss"  # largest distance to a position target [m]
     MISS_ANGLE = "miss_angle"  # of orientations, aims and poles [rad]
     REACHED = "reached"  # fraction of frames that reach every target [1]
@@ -111,7 +111,7 @@ class TrialOutcome:
     stable_step: float | None = None
     # Energies at these times; None if energy is not conserved.
     energies: Sequence[Energy] | None = None
-    bytes: int = 0  # size of the output; 0 without one
+    bytes: int = 0  # size of the output; 0 if there is none
     # Additional measured figures of the run.
     figures: Mapping[Figure, float] = field(default_factory=dict)
     # The setting's error, if measured directly instead of from snapshots.
@@ -138,9 +138,9 @@ class Trial:
     error_measure: ErrorMeasure = ErrorMeasure.RMS
     cost_measure: CostMeasure = CostMeasure.SECONDS
     unit: str = "steps"  # unit of the counted work
-    # Name and time of a point of a snapshot; None without names.
+    # Name and time of a point of a snapshot; None if points have no names.
     point_label: Callable[[int, int], str] | None = None
-    # Keys of the file entry that request a setting; None without an entry.
+    # Keys of the file entry that request a setting; None if there is no entry.
     changed_keys: Callable[[Setting], Mapping[str, Any]] | None = None
     # How to request a setting: scene file lines, or command options.
     request_lines: Callable[[Setting], list[str]] | None = None
@@ -179,7 +179,7 @@ class PointDistances:
     rms: float  # root mean square distance [m]
     median: float  # median distance [m]
     unmatched: float = 0.0  # fraction of points in only one of the two runs [1]
-    # Root mean square of angles between orientations [rad]; None without any.
+    # Root mean square of angles between orientations [rad]; None if there are none.
     angle: float | None = None
     # Snapshot and point of the largest distance.
     worst_at: tuple[int, int] | None = None

@@ -54,7 +54,7 @@ class Agents(Groups):
     """N agents of several populations, in the frame of the ground."""
 
     noun: ClassVar[str] = "agent"
-    start_points: FloatArray  # start positions, x and z (N, 2) [m]
+    start_points: FloatArray  # (x, z) at the start (N, 2) [m]
     speeds: FloatArray  # preferred speeds (N,) [m/s]
     max_speeds: FloatArray  # maximum speeds (N,) [m/s]
     # Weight with which an agent yields to those it touches (N,) [1].
@@ -78,7 +78,7 @@ class Agents(Groups):
 class AgentMotion(Rows):
     """Positions, velocities and headings of N agents at a time."""
 
-    points: FloatArray  # x and z (N, 2) [m]
+    points: FloatArray  # (x, z) positions (N, 2) [m]
     velocities: FloatArray  # (N, 2) [m/s]
     headings: FloatArray  # angles about y; 0 is along z (N,) [rad]
 
@@ -140,7 +140,7 @@ def _separate_at_start(
 
 
 def _crowded_warning(agents: Agents, distances: FloatArray) -> Fault:
-    """Return a warning of the population that is too many for its region (SIM147).
+    """Return a warning about a population that is too large for its region (SIM147).
 
     ``distances`` are those by which agents are moved apart ``(N,)`` [m].
     """

@@ -266,16 +266,18 @@ class AgentBodies(Footing):
 
     def heel_pitches(
         self,
-        k: int,
+        foot_index: int,
         stance_phases: FloatArray,
         blend: Blend,
         standing_weights: FloatArray,
     ) -> FloatArray:
         """Return the heel pitches of planted feet ``(N,)`` [rad]."""
-        progress = np.clip(stance_phases / blend.stance_fractions[:, k], 0.0, 1.0)
+        progress = np.clip(
+            stance_phases / blend.stance_fractions[:, foot_index], 0.0, 1.0
+        )
         stance_frames = progress * (PHASE_COUNT - 1)
         pitches = [
-            np.interp(stance_frames, np.arange(PHASE_COUNT), gait.pitches[k])
+            np.interp(stance_frames, np.arange(PHASE_COUNT), gait.pitches[foot_index])
             for gait in self.gaits.cycles
         ]
         return weighted_sum(pitches, blend.weights) * (1 - standing_weights)
@@ -307,7 +309,7 @@ class AgentBodies(Footing):
     def _reaction_times(
         self, reacts: FloatArray, dt: float, is_hit: BoolArray | None
     ) -> FloatArray:
-        """Return the time since each reaction began ``(N,)`` [s]; -1 without one."""
+        """Return the time since each reaction began ``(N,)`` [s], or -1."""
         if not self.gaits.reactions:
             return reacts
         period = self.gaits.reactions[0].period
@@ -333,7 +335,7 @@ class AgentBodies(Footing):
 
     def _advance_foot(
         self,
-        k: int,
+        foot_index: int,
         phases: FloatArray,
         phase_change: FloatArray,
         blend: Blend,
@@ -341,17 +343,19 @@ class AgentBodies(Footing):
         footholds: FloatArray,
         swings: FloatArray,
     ) -> None:
-        """Lift, swing and land foot ``k`` of each body, in place."""
-        start_phase = (phases - 0.5 * k) % 1.0
+        """Lift, swing and land foot ``foot_index`` of each body, in place."""
+        start_phase = (phases - 0.5 * foot_index) % 1.0
         end_phase = start_phase + phase_change
-        stance_end = blend.stance_fractions[:, k]
+        stance_end = blend.stance_fractions[:, foot_index]
         # Feet that are planted longer than in the current gait lift at once.
-        is_lifting = (swings[:, k] < 0) & (phase_change > 0) & (end_phase >= stance_end)
+        is_lifting = (
+            (swings[:, foot_index] < 0) & (phase_change > 0) & (end_phase >= stance_end)
+        )
         is_late = (start_phase > stance_end) & ~(start_phase < NO_LIFT_PHASE)
         is_lifting &= (start_phase < 1) & ~is_late
-        swings[is_lifting, k] = 0.0
+        swings[is_lifting, foot_index] = 0.0
         phase = np.where(is_lifting, np.maximum(start_phase, stance_end), start_phase)
-        is_swinging = swings[:, k] >= 0
+        is_swinging = swings[:, foot_index] >= 0
         progress = np.clip((end_phase - phase) / np.maximum(1 - phase, 1e-9), 0.0, 1.0)
         has_landed = is_swinging & (end_phase >= 1)
         fraction = (1 - start_phase) / np.where(phase_change > 0, phase_change, 1.0)
@@ -359,10 +363,12 @@ class AgentBodies(Footing):
         points = before.points + fraction[:, None] * (after.points - before.points)
         rotation = wrap_angles(after.headings - before.headings)
         headings = before.headings + fraction * rotation
-        landings = self.find_landings(k, blend, points, headings, footholds)
-        footholds[has_landed, k] = landings[has_landed]
-        swings[is_swinging, k] += (1 - swings[is_swinging, k]) * progress[is_swinging]
-        swings[has_landed, k] = -1.0
+        landings = self.find_landings(foot_index, blend, points, headings, footholds)
+        footholds[has_landed, foot_index] = landings[has_landed]
+        swings[is_swinging, foot_index] += (
+            1 - swings[is_swinging, foot_index]
+        ) * progress[is_swinging]
+        swings[has_landed, foot_index] = -1.0
 
 
 def _gait_weights(samples: FloatArray, gait_points: FloatArray) -> FloatArray:

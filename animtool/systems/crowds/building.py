@@ -143,7 +143,7 @@ def _build_bodies(
 def _project_on_ground(
     frame: GroundFrame, points: Sequence[Sequence[float]]
 ) -> FloatArray:
-    """Return world points projected on the ground: x and z ``(K, 2)``."""
+    """Return the (x, z) ground positions of world points ``(K, 2)``."""
     return frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]
 
 
@@ -181,7 +181,7 @@ def clear_starts(
 def _goal_obstacle(
     obstacles: Obstacles, grid: NavGrid, position: FloatArray, t: float
 ) -> tuple[str, str] | None:
-    """Return what blocks a goal at x and z ``(1, 2)``, and a hint; None if it is free.
+    """Return what blocks a goal at (x, z) ``(1, 2)``, and a hint; None if it is free.
 
     Nodes deep inside a low obstacle count as free, since the nearest face is its top.
     """
@@ -204,7 +204,7 @@ def _goal_obstacle(
 def _nearest_reachable(
     grid: NavGrid, position: FloatArray, components: IntArray
 ) -> FloatArray:
-    """Return x and z of the node of the components nearest to a goal ``(2,)``."""
+    """Return the (x, z) point ``(2,)`` of the components' node nearest to a goal."""
     node_indices = np.flatnonzero(np.isin(grid.components.ravel(), components))
     if not len(node_indices):
         node_indices = grid.nearest_free_node(position)

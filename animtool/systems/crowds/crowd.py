@@ -64,12 +64,12 @@ MAX_YAW_RATE = 4.0
 class CrowdState:
     """State of N agents on the ground."""
 
-    points: FloatArray  # x and z (N, 2) [m]
-    velocities: FloatArray  # x and z (N, 2) [m/s]
+    points: FloatArray  # (x, z) positions (N, 2) [m]
+    velocities: FloatArray  # along x and z (N, 2) [m/s]
     headings: FloatArray  # angles about up; 0 is along z (N,) [rad]
     progress: Progress
     overlap: float  # largest overlap of two agents so far [m]
-    bodies: BodyState | None  # body states; None without bodies
+    bodies: BodyState | None  # body states; None if agents have no bodies
     falls: Falls | None  # falls so far; None if no agent can fall
 
 
@@ -90,7 +90,7 @@ class Crowd:
     agents: Agents
     steering: Steering
     obstacles: Obstacles
-    start_points: FloatArray  # x and z at the start (N, 2) [m]
+    start_points: FloatArray  # (x, z) at the start (N, 2) [m]
     notices: Sequence[Fault]
     cast: AgentCast | None  # bodies of the agents; None if they are points or meshes
     # Ragdolls of falling agents; None if nobody can fall.

@@ -117,7 +117,7 @@ class CyclePath:
 
     begin: float  # first frame
     length: float  # length of a cycle [frames]
-    origin: FloatArray  # position at the first frame, x and z (2,) [m]
+    origin: FloatArray  # (x, z) at the first frame (2,) [m]
     heading: float  # heading at the first frame [rad]
     velocity: FloatArray  # velocity in the frame of the body (2,) [m/frame]
     yaw_rate: float  # yaw rate [rad/frame]
@@ -127,7 +127,7 @@ class CyclePath:
         return self.heading + self.yaw_rate * (frames - self.begin)
 
     def positions(self, frames: FloatArray) -> FloatArray:
-        """Return x and z at frames ``(K, 2)`` [m]."""
+        """Return the (x, z) points of the path at frames ``(K, 2)`` [m]."""
         return (
             self.origin
             + _arc_integrals(self.heading, self.yaw_rate, frames - self.begin)
@@ -231,12 +231,12 @@ def _build_step(
     world: WorldTransforms,
     path: CyclePath,
     ground: float,
-    k: int,
+    foot_index: int,
     stance: FootStance,
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
     """Return a foot's landing pose, pitches, swing rotations and ankle offsets."""
-    _, _, foot, toe = walker.legs[k]
-    level, ball = walker.level_rotations[k], walker.ball_offsets[k]
+    _, _, foot, toe = walker.legs[foot_index]
+    level, ball = walker.level_rotations[foot_index], walker.ball_offsets[foot_index]
     stance_frames = np.arange(stance.begin, stance.end)
     flat_frames = stance_frames
     if stance.is_flat[stance_frames].any():
@@ -278,7 +278,9 @@ def _build_step(
         swing_rotation = swings[row : row + 1 or None]
         correction = so3.multiply(stance_rotation, so3.conjugate(swing_rotation))
         swings = so3.multiply(so3.exp(weights[:, None] * so3.log(correction)), swings)
-        ankle_change = standing_ankle(walker, k, stance_rotation)[0] - lifts[row]
+        ankle_change = (
+            standing_ankle(walker, foot_index, stance_rotation)[0] - lifts[row]
+        )
         lifts = lifts + weights[:, None] * ankle_change
     return step, pitches, swings, lifts
 

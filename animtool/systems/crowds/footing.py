@@ -46,7 +46,7 @@ class BodyState(Rows):
     clocks: FloatArray  # time of the idle clip (N,) [s]
     # Smoothed forward speed [m/s], yaw rate [rad/s] and speed to the left (N, 3).
     paces: FloatArray
-    reacts: FloatArray  # time since a reaction began, -1 without one (N,) [s]
+    reacts: FloatArray  # time since a reaction began (N,) [s]; -1 if there is none
     shoulders: FloatArray  # yaw of the shoulders (N,) [rad]
     heels: FloatArray  # heel pitch of each foot at its last lift-off (N, 2) [rad]
     spans: FloatArray  # remaining fraction of the cycle at each lift-off (N, 2)

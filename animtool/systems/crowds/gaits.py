@@ -32,7 +32,7 @@ class Walker:
     heading: float  # heading of its rest pose [rad]
     level_rotations: FloatArray  # world rotation of each planted foot (2, 4)
     ankle_heights: FloatArray  # height of the ankles of planted feet (2,) [m]
-    # Offset from each ankle to the toe joint, or to the ground without one, for a
+    # Offset from each ankle to the toe joint, or else to the ground, for a
     # planted foot heading along z (2, 3) [m].
     ball_offsets: FloatArray
     leg_length: float  # total length of thigh and shin [m]
@@ -98,7 +98,7 @@ class Gait:
     rotations: FloatArray  # local rotations of joints (P, J, 4)
     hips: FloatArray  # positions of the first joint (P, 3) [m]
     period: float  # length of the cycle [s]
-    velocity: FloatArray  # velocity of the body in its frame, x and z (2,) [m/s]
+    velocity: FloatArray  # along x and z of the body's frame (2,) [m/s]
     yaw_rate: float  # yaw rate of the body [rad/s]
     # Fraction of the cycle that each foot is planted (2,).
     stance_fractions: FloatArray = field(default_factory=lambda: np.ones(2))

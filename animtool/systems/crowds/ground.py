@@ -26,7 +26,7 @@ def rotations_about_y(angles: FloatArray) -> FloatArray:
 
 
 def rotate_about_y(vectors: FloatArray, angle: FloatArray | float) -> FloatArray:
-    """Return x and z ``(…, 2)`` rotated about y by an angle [rad]."""
+    """Return (x, z) vectors ``(…, 2)`` rotated about y by an angle [rad]."""
     cosine, sine = np.cos(angle), np.sin(angle)
     x, z = vectors[..., 0], vectors[..., 1]
     return np.stack([cosine * x + sine * z, cosine * z - sine * x], axis=-1)
@@ -49,7 +49,7 @@ class GroundSampler(Protocol):
     """Interface of the ground as a height field."""
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``."""
+        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at (x, z) points."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class GroundFrame:
 
 @dataclass(frozen=True)
 class Terrain:
-    """Height field of triangles seen from above; a plane at height 0 without any."""
+    """Height field of triangles seen from above; the plane y = 0 if there are none."""
 
     # Corners of triangles, in the frame of the ground (T, 3, 3) [m].
     triangles: FloatArray = field(default_factory=lambda: np.zeros((0, 3, 3)))
@@ -89,7 +89,7 @@ class Terrain:
         return not len(self.triangles)
 
     def __call__(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at x and z ``(K, 2)``.
+        """Return heights ``(K,)`` [m] and normals ``(K, 3)`` at (x, z) points.
 
         Without ground, heights are NaN and normals point up.
         """
@@ -121,7 +121,7 @@ class Terrain:
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """Lower and upper x and z ``(2, 2)`` [m]."""
+        """Lower and upper (x, z) bounds ``(2, 2)`` [m]."""
         positions = self.triangles[..., [0, 2]].reshape(-1, 2)
         return np.stack([positions.min(axis=0), positions.max(axis=0)])
 
@@ -151,21 +151,21 @@ class Terrain:
     @cached_property
     def _grid(self) -> tuple[FloatArray, FloatArray, IntArray, IntArray, IntArray]:
         """Low corner of the grid, cell size, cell counts, and triangles by cell."""
-        positions = self._nonvertical_triangles[..., [0, 2]]
-        low, high = positions.min(axis=(0, 1)), positions.max(axis=(0, 1))
-        cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(positions)))))
+        triangles_xz = self._nonvertical_triangles[..., [0, 2]]
+        low, high = triangles_xz.min(axis=(0, 1)), triangles_xz.max(axis=(0, 1))
+        cells_per_axis = max(1, min(MAX_CELLS, int(np.sqrt(len(triangles_xz)))))
         counts = np.array([cells_per_axis, cells_per_axis])
         cell_size = np.maximum((high - low) / counts, np.finfo(float).tiny)
         first_cells, last_cells = (
             np.clip(coordinates.astype(np.int64), 0, cells_per_axis - 1)
             for coordinates in (
-                (positions.min(axis=1) - low) / cell_size - EDGE_TOLERANCE,
-                (positions.max(axis=1) - low) / cell_size + EDGE_TOLERANCE,
+                (triangles_xz.min(axis=1) - low) / cell_size - EDGE_TOLERANCE,
+                (triangles_xz.max(axis=1) - low) / cell_size + EDGE_TOLERANCE,
             )
         )
         cell_spans = last_cells - first_cells + 1
         cell_counts = cell_spans.prod(axis=1)
-        faces = np.repeat(np.arange(len(positions)), cell_counts)
+        faces = np.repeat(np.arange(len(triangles_xz)), cell_counts)
         k = np.arange(len(faces)) - _group_starts(cell_counts)
         width = cell_spans[faces, 1]
         cells = (

@@ -66,11 +66,11 @@ class Obstacles:
     # Grid of nodes on the ground; None for infinite ground.
     edge_grid: NavGrid | None = None
     horizon: float = 0.5  # look-ahead of avoidance [s]
-    # x and z of both ends of each door ``(D, 2, 2)`` [m].
+    # (x, z) of both ends of each door ``(D, 2, 2)`` [m].
     door_ends: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
 
     def walls(self, t: float, dt: float, x: FloatArray) -> Walls:
-        """Return obstacles near agents at x and z ``(N, 2)``, in a step [s]."""
+        """Return obstacles near agents at (x, z) ``(N, 2)``, in a step [s]."""
         obstacles = self._collider_gaps(t, dt, x)
         obstacles += self._door_gaps(t, x) + self._edge_gaps(x)
         count = len(x)
@@ -110,7 +110,7 @@ class Obstacles:
         ]
 
     def collider_depths(self, t: float, position: FloatArray) -> FloatArray:
-        """Return the depth of each collider at x and z ``(1, 2)`` of an agent ``(C,)``.
+        """Return the depth ``(C,)`` of an agent at (x, z) ``(1, 2)`` in each collider.
 
         It is that of the largest agent's axis [m], negative outside. Moving colliders,
         which block no paths, have minus infinity.
@@ -129,7 +129,7 @@ class Obstacles:
         return np.where(is_fixed, depths, -np.inf)
 
     def world_text(self, x: FloatArray) -> str:
-        """Return the position of x and z on the ground ``(2,)`` as text."""
+        """Return the ground position of an (x, z) point ``(2,)`` as text."""
         height = float(sample_ground(self.ground, x[None])[0][0])
         point = self.frame.to_world(np.array([[x[0], height, x[1]]]))[0]
         return f"{vector_text(point)} m"
@@ -171,7 +171,7 @@ def capsule_distances(
 
     For each collider it returns distances ``(K,)`` from the axes [m], infinite for
     floors, unit vectors away from the collider ``(K, 2)``, and its speeds along them
-    ``(K,)`` [m/s]. The capsules have positions x and z ``(K, 2)``, base heights
+    ``(K,)`` [m/s]. The capsules have (x, z) positions ``(K, 2)``, base heights
     ``(K,)``, radii ``(K,)`` and total heights ``(K,)`` [m].
     """
     count = len(x)
@@ -210,8 +210,9 @@ def navigation_grids(
 ) -> tuple[NavGrid | None, NavGrid | None]:
     """Return a grid of walkable nodes, and a grid of all nodes on the ground.
 
-    The first is None without obstacles, the second if the ground is infinite. If agents
-    are too far apart for one grid, it covers the surroundings of obstacles only.
+    The first is None if there are no obstacles, the second if the ground is infinite.
+    If agents are too far apart for one grid, it only covers the surroundings of
+    obstacles.
     """
     static_obstacles = [collider for collider in colliders if collider.poses.is_fixed]
     if ground.is_plane and not static_obstacles:
@@ -269,7 +270,7 @@ def _obstacle_bounds(
     high: FloatArray,
     margin: float,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return bounds around obstacles, within x and z bounds ``(2,)`` [m].
+    """Return bounds around obstacles, within (x, z) bounds ``(2,)`` [m].
 
     Infinite walls are near everything; floors are no obstacles.
     """
@@ -292,6 +293,6 @@ def _obstacle_bounds(
 
 
 def is_blocked(grid: NavGrid, x: FloatArray) -> BoolArray:
-    """Return a mask of the points x and z ``(K, 2)`` that are not walkable ``(K,)``."""
+    """Return which (x, z) points ``(K, 2)`` are not walkable ``(K,)``."""
     row, column = grid.nearest_nodes(x).T
     return np.asarray(~grid.is_free[row, column])

@@ -209,7 +209,7 @@ def _ankle_targets(
 
 def _missing_clearance(
     walker: Walker,
-    k: int,
+    foot_index: int,
     foot_rotations: FloatArray,
     ankle_offsets: FloatArray,
     foothold_distances: FloatArray,
@@ -218,12 +218,14 @@ def _missing_clearance(
 
     ``foothold_distances`` are those to the nearest foothold ``(K,)`` [m].
     """
-    heel = ankle_offsets - so3.rotate(foot_rotations, walker.ankle_heights[k] * UP)
-    ball = ankle_offsets + so3.rotate(foot_rotations, walker.ball_offsets[k])
+    heel = ankle_offsets - so3.rotate(
+        foot_rotations, walker.ankle_heights[foot_index] * UP
+    )
+    ball = ankle_offsets + so3.rotate(foot_rotations, walker.ball_offsets[foot_index])
     deficit = np.zeros(len(ankle_offsets))
     for sole, rest_offset in (
         (heel, 0 * UP),
-        (ball, walker.ball_offsets[k] + walker.ankle_heights[k] * UP),
+        (ball, walker.ball_offsets[foot_index] + walker.ankle_heights[foot_index] * UP),
     ):
         offsets = np.linalg.norm((sole - rest_offset)[:, [0, 2]], axis=1)
         required_height = min_sole_height(foothold_distances + offsets)
@@ -232,27 +234,31 @@ def _missing_clearance(
 
 
 def _swing_poses(
-    gaits: Gaits, state: BodyState, blend: Blend, k: int, is_swinging: BoolArray
+    gaits: Gaits,
+    state: BodyState,
+    blend: Blend,
+    foot_index: int,
+    is_swinging: BoolArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations ``(K, 4)`` and ankle offsets ``(K, 3)`` of swinging feet.
 
-    These are for foot ``k`` of the bodies in which it swings. Swings start at the
-    pose of the last stance, as feet may lift earlier than in the gait.
+    These are for one foot of the bodies in which it swings. Swings start at the pose
+    of the last stance, as feet may lift earlier than in the gait.
     """
-    swings = np.clip(state.swings[is_swinging, k], 0.0, 1.0)
+    swings = np.clip(state.swings[is_swinging, foot_index], 0.0, 1.0)
     foot_rotations, ankle_offsets = _gait_swing(
-        gaits, state, blend, k, is_swinging, swings
+        gaits, state, blend, foot_index, is_swinging, swings
     )
     start_rotations, start_offsets = _gait_swing(
-        gaits, state, blend, k, is_swinging, np.zeros_like(swings)
+        gaits, state, blend, foot_index, is_swinging, np.zeros_like(swings)
     )
-    stance_rotations = rotations_about_x(state.heels[is_swinging, k])
+    stance_rotations = rotations_about_x(state.heels[is_swinging, foot_index])
     blend_progress = swing_progress(np.minimum(swings / STANCE_BLEND_PHASE, 1.0))
     stance_weight = (1 - blend_progress)[:, None]
     correction = so3.multiply(stance_rotations, so3.conjugate(start_rotations))
     identity = np.broadcast_to(so3.IDENTITY, correction.shape)
     partial_correction = _mix_rotations(identity, correction, stance_weight)
-    offset = standing_ankle(gaits.walker, k, stance_rotations) - start_offsets
+    offset = standing_ankle(gaits.walker, foot_index, stance_rotations) - start_offsets
     foot_rotations = so3.multiply(partial_correction, foot_rotations)
     return foot_rotations, ankle_offsets + stance_weight * offset
 
@@ -261,7 +267,7 @@ def _gait_swing(
     gaits: Gaits,
     state: BodyState,
     blend: Blend,
-    k: int,
+    foot_index: int,
     is_swinging: BoolArray,
     swings: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
@@ -269,14 +275,16 @@ def _gait_swing(
     moving_gaits = gaits.cycles
     frames = swings * (PHASE_COUNT - 1)
     weights = blend.weights[is_swinging]
-    gait_rotations = [sample_rows(gait.swings[k], frames) for gait in moving_gaits]
+    gait_rotations = [
+        sample_rows(gait.swings[foot_index], frames) for gait in moving_gaits
+    ]
     swing_rotations = _blend_rotations(gait_rotations, weights)
-    lifts = [sample_rows(gait.lifts[k], frames) for gait in moving_gaits]
+    lifts = [sample_rows(gait.lifts[foot_index], frames) for gait in moving_gaits]
     ankle_offsets = weighted_sum(lifts, weights)
     # Offsets along the motion are scaled with the step length.
     end_offsets = [
         sum(
-            weight * gait.lifts[k, end, 2]
+            weight * gait.lifts[foot_index, end, 2]
             for weight, gait in zip(weights.T, moving_gaits, strict=True)
         )
         for end in (0, -1)
@@ -288,8 +296,8 @@ def _gait_swing(
     ankle_offsets[:, 2] = straight_offsets + stride * deviations
     # Feet stay flat after standing, and lift less in quick steps.
     standing_weight = state.still[is_swinging]
-    swing_time = state.spans[is_swinging, k] / state.rates[is_swinging]
-    swing_fraction = 1 - blend.stance_fractions[is_swinging, k]
+    swing_time = state.spans[is_swinging, foot_index] / state.rates[is_swinging]
+    swing_fraction = 1 - blend.stance_fractions[is_swinging, foot_index]
     typical_time = swing_fraction / blend.free_rate[is_swinging]
     shortening_factor = 1 - np.minimum(swing_time / typical_time, 1.0)
     landing_progress = (swings - LANDING_PHASE) / (1 - LANDING_PHASE)
@@ -300,7 +308,7 @@ def _gait_swing(
     flat_weight = flat_weight[:, None]
     flat_rotations = np.broadcast_to(so3.IDENTITY, swing_rotations.shape)
     rotations = _mix_rotations(swing_rotations, flat_rotations, flat_weight)
-    flat_ankle = standing_ankle(gaits.walker, k, flat_rotations)
+    flat_ankle = standing_ankle(gaits.walker, foot_index, flat_rotations)
     lift = np.maximum(ankle_offsets[:, 1:2] - flat_ankle[:, 1:2], 0.0)
     flat_lift = FLAT_FOOT_LIFT * lift
     ankle_offsets += flat_weight * (flat_ankle + flat_lift * UP - ankle_offsets)

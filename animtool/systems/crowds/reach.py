@@ -65,36 +65,38 @@ class LegReach:
         return np.asarray(thighs + offsets)
 
     def reach_margin(
-        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+        self, foot_index: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Return the remaining horizontal reach of a planted foot ``(N,)`` [m].
 
         Also returns the horizontal direction from the thigh to the ankle ``(N, 2)``.
-        Leg ``k`` (0 left, 1 right) has thigh joints ``(N, 3)``, and feet with x, y, z
-        and heading ``(N, 4)`` and a heel pitch ``(N,)`` [rad].
+        The leg ``foot_index`` (0 left, 1 right) has thigh joints ``(N, 3)``, and feet
+        with x, y, z and heading ``(N, 4)`` and a heel pitch ``(N,)`` [rad].
         """
         leg = self.gaits.walker.leg_length
-        to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
+        to_ankle = self._ankle_vectors(foot_index, thighs, feet, pitches)
         heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg, 0.0)
         distances = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
         outwards = to_ankle[:, [0, 2]] / np.maximum(distances, 1e-9)[:, None]
         return np.asarray(reach_across(leg, heights**2) - distances), outwards
 
     def hip_lowering(
-        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+        self, foot_index: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return how far hips must be lowered for a planted foot ``(N,)`` [m]."""
         leg = self.gaits.walker.leg_length
-        to_ankle = self._ankle_vectors(k, thighs, feet, pitches)
+        to_ankle = self._ankle_vectors(foot_index, thighs, feet, pitches)
         max_height = reach_across(leg, (to_ankle[:, [0, 2]] ** 2).sum(axis=1))
         lowerings = np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
         return np.asarray(lowerings)
 
     def _ankle_vectors(
-        self, k: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
+        self, foot_index: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return vectors from thighs to ankles of planted feet ``(N, 3)``."""
-        lifts = standing_ankle(self.gaits.walker, k, rotations_about_x(pitches))
+        lifts = standing_ankle(
+            self.gaits.walker, foot_index, rotations_about_x(pitches)
+        )
         ankles = feet[:, :3] + so3.rotate(rotations_about_y(feet[:, 3]), lifts)
         return np.asarray(ankles - thighs)
 

@@ -25,7 +25,7 @@ TINY_LENGTH = 1e-300
 class NavGrid:
     """Grid of nodes on the ground, with a mask of walkable ones."""
 
-    low: FloatArray  # x and z of the first node (2,) [m]
+    low: FloatArray  # (x, z) of the first node (2,) [m]
     cell: float  # distance between nodes [m]
     is_free: BoolArray  # mask of walkable nodes (R, C), rows along x
 
@@ -33,7 +33,7 @@ class NavGrid:
     def all_positions(
         low: FloatArray, cell: float, shape: tuple[int, int]
     ) -> FloatArray:
-        """Return x and z of all nodes of a grid ``(R·C, 2)`` [m]."""
+        """Return the (x, z) points of all nodes ``(R·C, 2)`` [m]."""
         rows, columns = np.indices(shape).reshape(2, -1)
         return np.asarray(low + cell * np.stack([rows, columns], axis=1))
 
@@ -55,14 +55,14 @@ class NavGrid:
         return np.asarray(rows * self.is_free.shape[1] + columns)
 
     def nearest_nodes(self, points: FloatArray) -> IntArray:
-        """Return rows and columns of the nodes nearest to x and z ``(K, 2)``."""
+        """Return row and column of the node nearest to each (x, z) point ``(K, 2)``."""
         last = np.array(self.is_free.shape) - 1
         indices = np.floor((points - self.low) / self.cell + 0.5)
         return np.clip(indices, 0, last).astype(np.int64)
 
     @property
     def high(self) -> FloatArray:
-        """Position of the last node: x and z ``(2,)`` [m]."""
+        """The (x, z) point of the last node ``(2,)`` [m]."""
         return np.asarray(self.low + self.cell * (np.array(self.is_free.shape) - 1))
 
     def border_distance(self, points: FloatArray) -> FloatArray:
@@ -82,12 +82,12 @@ class NavGrid:
         return np.unique(np.concatenate(border))
 
     def nearest_free_node(self, points: FloatArray) -> IntArray:
-        """Return the free nodes nearest to x and z ``(K, 2)``."""
+        """Return the free node nearest to each (x, z) point ``(K, 2)``."""
         row, column = self.nearest_nodes(points).T
         return np.asarray(self._nearest_free_nodes[row, column])
 
     def node_positions(self, nodes: IntArray) -> FloatArray:
-        """Return x and z of nodes by index ``(K, 2)`` [m]."""
+        """Return the (x, z) points of nodes by index ``(K, 2)`` [m]."""
         index = np.stack(np.divmod(nodes, self.is_free.shape[1]), axis=-1)
         return np.asarray(self.low + self.cell * index)
 
@@ -100,7 +100,7 @@ class NavGrid:
         return np.asarray(distances)[1:-1, 1:-1]
 
     def cell_corners(self, points: FloatArray) -> tuple[IntArray, IntArray, FloatArray]:
-        """Return the nodes around x and z, and bilinear weights ``(K, 2, 2)``.
+        """Return the nodes around (x, z) points, and bilinear weights ``(K, 2, 2)``.
 
         Rows of the four nodes are ``(K, 2, 1)``, and columns ``(K, 1, 2)``.
         """
@@ -114,7 +114,7 @@ class NavGrid:
         return corner_indices[:, :, None, 0], corner_indices[:, None, :, 1], weights
 
     def obstacle_distances(self, points: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Return distances of x and z ``(K, 2)`` from obstacles, and directions away.
+        """Return distances of (x, z) points from obstacles, and directions away.
 
         Distances ``(K,)`` [m] are to half a cell before blocked nodes, where obstacles
         begin. Directions are ``(K, 2)``.
@@ -136,7 +136,7 @@ class FlowField:
     """Shortest paths to a goal, from all nodes of a grid."""
 
     grid: NavGrid
-    goals: FloatArray  # path ends by component, x and z ``(P, 2)`` [m]
+    goals: FloatArray  # (x, z) ends of paths by component ``(P, 2)`` [m]
     distances: FloatArray  # path lengths from nodes, infinite if unreachable (R, C) [m]
 
     @cached_property
@@ -159,7 +159,7 @@ class FlowField:
         return descent / np.where(size > 0, size, 1.0)
 
     def path_directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
-        """Return unit vectors ``(K, 2)`` along the path from x and z ``(K, 2)``.
+        """Return unit vectors ``(K, 2)`` along the paths from (x, z) points.
 
         They point straight at ``targets`` if the goal is near and visible. Agents on
         blocked nodes first return to a free node.
@@ -209,13 +209,13 @@ class FlowField:
         return np.asarray(is_free.all(axis=0), np.bool_)
 
     def path_ends(self, points: FloatArray) -> FloatArray:
-        """Return the ends of paths from x and z ``(K, 2)`` [m]."""
+        """Return the ends of the paths from (x, z) points ``(K, 2)`` [m]."""
         component = self.grid.components.ravel()[self.grid.nearest_free_node(points)]
         return self.goals[component]
 
 
 def flow_field(grid: NavGrid, goal: FloatArray) -> FlowField:
-    """Return the flow field to a goal at x and z ``(2,)``.
+    """Return the flow field to a goal at an (x, z) point ``(2,)``.
 
     In components of the grid without the goal, paths lead to the node nearest to it.
     """

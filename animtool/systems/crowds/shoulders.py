@@ -61,7 +61,7 @@ class Trunk:
 
     @staticmethod
     def from_skeleton(skeleton: RoledSkeleton) -> Trunk:
-        """Return the trunk of a skeleton; one without a spine is never rotated."""
+        """Return the trunk of a skeleton; it is not rotated if there is no spine."""
         joints_by_role = {
             role: tuple(
                 j for j, joint_role in enumerate(skeleton.roles) if joint_role == role

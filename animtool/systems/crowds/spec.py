@@ -9,7 +9,7 @@ from pydantic import Field
 
 from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Integer, Name, NotNegative, Positive, Real, Vector
+from animtool.documents.fields import Integer, Name, NonNegative, Positive, Real, Vector
 from animtool.systems.framework.fields import (
     Characters,
     Colliders,
@@ -62,7 +62,7 @@ class CrowdGoalModel(FileModel):
     radius: Positive = key(
         "Agents within this distance have arrived [m].", 2, default=1.0
     )
-    wait: NotNegative = key("Time that agents stay [s].", 5, default=0.0)
+    wait: NonNegative = key("Time that agents stay [s].", 5, default=0.0)
     queue: QueueModel | None = key(
         "Agents queue, and one at a time is served for `wait`. Default: all are "
         "served at once.",
@@ -86,7 +86,7 @@ class WalkingSpeedModel(FileModel):
     """Preferred walking speed of agents, normally distributed."""
 
     mean: Positive = key("Mean [m/s].", 1.2, default=1.34)
-    spread: NotNegative = key(
+    spread: NonNegative = key(
         "Standard deviation [m/s]; limited to two deviations and at least a third of "
         "the mean.",
         0.1,
@@ -118,7 +118,7 @@ class PopulationModel(PlacedModel):
     then: Literal["stay", "repeat", "leave"] = key(
         "At the end of the route: stay, repeat it or leave.", "repeat", default="stay"
     )
-    delay: NotNegative = key(
+    delay: NonNegative = key(
         "Each agent starts at a random time before this [s].", 3, default=0.0
     )
     group: Annotated[Integer, Ge(1), Le(8)] = key(
@@ -158,16 +158,16 @@ class AgentAvoidanceModel(FileModel):
     obstacles: Positive = key(
         "Time horizon for avoiding obstacles [s].", 1, default=0.5
     )
-    space: NotNegative = key(
+    space: NonNegative = key(
         "Preferred distance to others outside the group [m].", 0.4, default=0.2
     )
-    push: NotNegative = key(
+    push: NonNegative = key(
         "Speed of moving away from agents that are too close [m/s].", 0.4, default=0.3
     )
     side: Literal["right", "left", "none"] = key(
         "Side to walk on when others approach.", "left", default="right"
     )
-    headway: NotNegative = key(
+    headway: NonNegative = key(
         "Behind agents with the same direction, speed is at most the gap over this "
         "time [s].",
         1,

@@ -46,14 +46,14 @@ class Steering:
 
     agents: Agents
     goals: Sequence[CrowdGoalModel]
-    goal_points: FloatArray  # x and z of each goal (G, 2) [m]
-    # Offset between positions of a goal's queue (G, 2) [m]; 0 without a queue.
+    goal_points: FloatArray  # (x, z) of each goal (G, 2) [m]
+    # Offset between positions of a goal's queue (G, 2) [m]; 0 if it has no queue.
     queue_spacings: FloatArray
-    grid: NavGrid | None  # walkable grid; None without obstacles
+    grid: NavGrid | None  # walkable grid; None if there are no obstacles
 
     @cached_property
     def flow_fields(self) -> list[FlowField]:
-        """Flow fields to each goal; empty without obstacles."""
+        """Flow fields to each goal; empty if there are no obstacles."""
         if self.grid is None:
             return []
         return [flow_field(self.grid, goal) for goal in self.goal_points]
@@ -85,7 +85,7 @@ class Steering:
         return Progress(stages, np.zeros(count), tickets)
 
     def current_goals(self, progress: Progress) -> IntArray:
-        """Return the current goal of each agent ``(N,)``; -1 for none."""
+        """Return the current goal of each agent ``(N,)``; -1 if there is none."""
         table, counts, is_repeating, _ = self._route_plans
         stages = progress.stages
         loop_stages = stages % np.maximum(counts, 1)
@@ -201,7 +201,7 @@ class Steering:
         return result
 
     def advance(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
-        """Return progress after a step [s], with agents at x and z ``(N, 2)``."""
+        """Return progress after a step [s], with agents at (x, z) points ``(N, 2)``."""
         if not len(self.goal_points):
             return progress
         _, counts, is_repeating, is_leaving = self._route_plans

@@ -158,7 +158,7 @@ def rule_accelerations(
 
 
 def min_distance(species: SpeciesModel) -> float:
-    """Return the minimum distance of members of a species [m]; 0 for none.
+    """Return the minimum distance of members of a species [m]; 0 if there is none.
 
     The default is twice the radius; members without a specified radius or mesh are
     points.
@@ -179,7 +179,7 @@ class Spacing:
 
     @staticmethod
     def for_members(members: Members, domain: DomainModel | None) -> Spacing | None:
-        """Return the spacing of members; None without minimum distances."""
+        """Return the spacing of members; None if they have no minimum distance."""
         distances = members.repeat_per_individual(
             [min_distance(entry) for entry in members.entries]
         )

@@ -9,7 +9,7 @@ from annotated_types import Ge, Gt, Le, Len
 
 from animtool.core.options import key
 from animtool.documents.check import FileModel
-from animtool.documents.fields import Integer, Name, NotNegative, Positive, Real, Vector
+from animtool.documents.fields import Integer, Name, NonNegative, Positive, Real, Vector
 from animtool.systems.framework.fields import (
     EmitterShapeEntry,
     Integrator,
@@ -42,7 +42,7 @@ class VisionModel(FileModel):
 class PullModel(FileModel):
     """Strength and range of an interaction with neighbours."""
 
-    weight: NotNegative = key("Weight; 0 switches it off.", 1.5)
+    weight: NonNegative = key("Weight; 0 switches it off.", 1.5)
     radius: Positive | None = key(
         "From neighbours within this distance [m]. Default: from all visible "
         "neighbours.",
@@ -54,10 +54,10 @@ class PullModel(FileModel):
 class RepulsionModel(PullModel):
     """Strength of the repulsion between members."""
 
-    softening: NotNegative = key(
+    softening: NonNegative = key(
         "Distance below which the push stops growing [m].", 0.05, default=0.1
     )
-    least: NotNegative | None = key(
+    least: NonNegative | None = key(
         "Minimum distance between two members [m]; for two species, the mean of "
         "both; 0 is none. Default: twice the `radius` if that or `shows` is set and "
         "the weight is not 0, else none.",
@@ -70,7 +70,7 @@ class OtherModel(FileModel):
     """Reaction to another species."""
 
     species: Name = key("Its name.", "hawk")
-    weight: NotNegative = key("How strongly.", 40)
+    weight: NonNegative = key("How strongly.", 40)
     radius: Positive = key("Capture distance [m].", 6)
 
 
@@ -78,13 +78,13 @@ class SpeedModel(FileModel):
     """Speeds of members."""
 
     cruise: Positive = key("Preferred speed [m/s].", 8, default=3.0)
-    weight: NotNegative = key(
+    weight: NonNegative = key(
         "Weight: acceleration over the deficit of squared speed and the velocity "
         "[s/m²].",
         0.05,
         default=0.2,
     )
-    least: NotNegative = key("Minimum speed [m/s].", 4, default=0.0)
+    least: NonNegative = key("Minimum speed [m/s].", 4, default=0.0)
     most: Positive | None = key(
         "Maximum speed [m/s]. Default: twice the cruise.", 12, default=None
     )
@@ -96,7 +96,7 @@ class FlockGoalModel(PlacedModel):
     weight: Real = key(
         "Weight: acceleration over the distance to it [1/s²]; below 0 it repels.", 0.1
     )
-    radius: NotNegative = key("No pull within this distance [m].", 4, default=0.0)
+    radius: NonNegative = key("No pull within this distance [m].", 4, default=0.0)
     limit: Positive | None = key("Maximum acceleration [m/s²].", 5, default=None)
 
 
@@ -107,7 +107,7 @@ class PathModel(FileModel):
         "Its points [m].", [[0, 5, 0], [20, 5, 0]]
     )
     closed: bool = key("Whether it is closed.", True, default=False)
-    weight: NotNegative = key(
+    weight: NonNegative = key(
         "Weight: acceleration over the distance to the target on the path [1/s²].",
         1,
         default=0.5,
@@ -115,14 +115,14 @@ class PathModel(FileModel):
     ahead: Positive = key(
         "How far ahead of the nearest point the target is [m].", 4, default=2.0
     )
-    radius: NotNegative = key("No pull within this distance [m].", 2, default=0.0)
+    radius: NonNegative = key("No pull within this distance [m].", 2, default=0.0)
 
 
 class AvoidanceModel(FileModel):
     """How members avoid colliders."""
 
     distance: Positive = key("Distance at which it starts [m].", 3, default=1.5)
-    weight: NotNegative = key(
+    weight: NonNegative = key(
         "Acceleration away from a surface on contact [m/s²]; braking before contact "
         "is added.",
         30,
@@ -204,12 +204,12 @@ class SpeciesModel(PlacedModel):
         "Paths to follow.", [{"points": [[0, 5, 0], [20, 5, 0]]}], default=[]
     )
     shows: Shows = None
-    beat: NotNegative = key(
+    beat: NonNegative = key(
         "Animation cycles per second at the cruise speed; proportional to speed.",
         4,
         default=0.0,
     )
-    banking: NotNegative = key(
+    banking: NonNegative = key(
         "Banking in turns: 1 is the angle of coordinated flight.", 0.5, default=1.0
     )
 

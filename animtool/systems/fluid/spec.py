@@ -13,7 +13,7 @@ from animtool.core.options import key
 from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Integer,
-    NotNegative,
+    NonNegative,
     NumberPair,
     Positive,
     Real,
@@ -83,7 +83,7 @@ class FluidSurfaceModel(FileModel):
         0.02,
         default=None,
     )
-    smoothing: NotNegative = key(
+    smoothing: NonNegative = key(
         "Half width of the smoothing kernel, in spacings.", 1.5, default=1.0
     )
     max_cells: Annotated[Integer, Gt(0), Le(10**9)] = key(
@@ -113,12 +113,12 @@ class FluidModel(ForcedSpec):
         "Outflow.", [{"shape": {"plane": {"offset": -1}}}], default=[]
     )
     density: Positive = key("Rest density [kg/m³].", 900, default=1000.0)
-    viscosity: NotNegative = key(
+    viscosity: NonNegative = key(
         "Kinematic viscosity [m²/s]: 1e-6 for water, 1e-4 for oil, 5e-3 for honey.",
         1e-4,
         default=1e-6,
     )
-    tension: NotNegative = key(
+    tension: NonNegative = key(
         "Surface tension [N/m]: 0.072 for water, 0.022 for alcohol. Walls do not "
         "attract.",
         0.072,
@@ -183,7 +183,7 @@ class FluidModel(ForcedSpec):
                     yield message, "emitters", None
 
     def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return faults of keys, and of colours without a range."""
+        """Return faults in keys, and for colours without a range."""
         faults = list(super().faults(entry_data))
         if self.colour is not None and self.colour.range is None:
             message, hint = "colours need a range", "range: [0, 4]"

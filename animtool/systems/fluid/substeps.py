@@ -73,7 +73,7 @@ class Substeps:
     ) -> float:
         """Return the speed of sound for a step [m/s].
 
-        ``previous`` is that of the last step, 0 without one. Particles have pressures
+        ``previous`` is that of the last step, or 0. Particles have pressures
         [Pa] and largest approach speeds [m/s] ``(N,)``; ``acceleration`` is the largest
         external one [m/s²].
         """

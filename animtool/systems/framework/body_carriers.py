@@ -16,7 +16,7 @@ from animtool.sim.colliders import Colliders, Poses
 from animtool.sim.colliders.bodies import Wrenches
 from animtool.systems.framework.surfaces import BodyColliders, ObservedRun, RigidSystem
 
-# Displacement by a pull over a step, relative to the step times the velocity change
+# Displacement by an impulse over a step, relative to the step times the velocity change
 # [1]. A constant force has 0.5; slightly more damps stiff motion.
 PULL_DISPLACEMENT = 0.52
 
@@ -89,28 +89,30 @@ class CarrierBodies(BodyColliders):
 
     def pulled_by(self, puller: Any, state: Any, t: float) -> Any:
         """Return a state at a time [s] within a step, with the puller's impulses."""
-        pull = puller.pull(t, self)
-        if pull is None:
+        pulling_impulses = puller.pull(t, self)
+        if pulling_impulses is None:
             return state
-        wrenches, begin, end = pull
+        wrenches, begin, end = pulling_impulses
         end_state, _ = self._run.past_state(end)
         end_centres = self.system.inertias(end_state)[0]
         fraction = (t - begin) / (end - begin)
         current_centres = self.system.inertias(state)[0]
 
-        def scale_wrench(wrench_rows: FloatArray, fraction: float) -> FloatArray:
-            scaled_rows = fraction * wrench_rows
+        def scale_impulses(impulse_rows: FloatArray, fraction: float) -> FloatArray:
+            scaled_rows = fraction * impulse_rows
             scaled_rows[:, 3:] += so3.cross(
                 current_centres - end_centres, scaled_rows[:, :3]
             )
             return scaled_rows
 
-        impulses = scale_wrench(wrenches.impulses, fraction)
-        delayed_impulses = scale_wrench(wrenches.delayed_impulses, fraction**2)
-        return self.system.pushed(state, Wrenches(impulses, delayed_impulses))
+        impulses = scale_impulses(wrenches.impulses, fraction)
+        time_weighted_impulses = scale_impulses(
+            wrenches.time_weighted_impulses, fraction**2
+        )
+        return self.system.pushed(state, Wrenches(impulses, time_weighted_impulses))
 
     def step_over(self, t0: float, t1: float) -> CarrierStep:
-        """Return the bodies over a step [s], without pulls."""
+        """Return the bodies over a step [s], without impulses of pins."""
         start_state, _ = self._run.past_state(t0, with_pushes=True)
         end_state, _ = self._run.past_state(t1)
         return CarrierStep(self.system, start_state, end_state, t0, t1)
@@ -165,16 +167,16 @@ class CarrierStep:
         """Return velocities of points ``(P, 3)`` on a body at the start [m/s]."""
         return self.point_velocities(self.start_state, index, points)
 
-    def moment(self, index: int, pull: FloatArray) -> FloatArray:
-        """Return the moment of a pull ``(6,)`` about the moving centre of mass."""
+    def moment(self, index: int, impulse: FloatArray) -> FloatArray:
+        """Return the moment of an impulse ``(6,)`` about the moving centre of mass."""
         centre = self.inertias[0][index] - self._pull_time * self._end_velocities[index]
-        moment: FloatArray = pull[3:] - so3.cross(centre, pull[:3])
+        moment: FloatArray = impulse[3:] - so3.cross(centre, impulse[:3])
         return moment
 
-    def wrenches(self, pulls: FloatArray) -> Wrenches:
-        """Convert impulses and moments ``(count, 6)`` of pulls to wrenches."""
-        impulses = pulls.copy()
-        impulses[:, 3:] += so3.cross(self.inertias[0], pulls[:, :3])
+    def wrenches(self, pin_impulses: FloatArray) -> Wrenches:
+        """Convert impulses and moments of pins ``(count, 6)`` to those on bodies."""
+        impulses = pin_impulses.copy()
+        impulses[:, 3:] += so3.cross(self.inertias[0], pin_impulses[:, :3])
         return Wrenches(impulses, self._pull_time * impulses)
 
     def pushed(self, wrenches: Wrenches) -> tuple[Any, FloatArray]:

@@ -55,7 +55,7 @@ class ColourModel(FileModel):
     )
 
     def faults(self, quantity_names: Sequence[str], code: str) -> list[Fault]:
-        """Return the faults of the keys, given the available quantities."""
+        """Return faults for keys that are invalid with the available quantities."""
         if self.by not in quantity_names:
             message = f"unknown quantity {excerpt(self.by)}"
             hint = f"use one of {', '.join(quantity_names)}"

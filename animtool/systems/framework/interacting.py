@@ -121,7 +121,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         has_many_species: Whether there is more than one entry.
         written_indices: Indices of the bodies in frames ``(M,)``.
         inertia: Divisor from forces to accelerations ``(N, 1)``; None is 1.
-        box: Size of the periodic box ``(3,)``; None without.
+        box: Size of the periodic box ``(3,)``; None if space is not periodic.
     """
 
     checked = True

@@ -1,4 +1,4 @@
-"""Measured depth, piercing and strain of simulated surfaces."""
+"""Measured depth, intersections and strain of simulated surfaces."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class PeakValue:
     """The largest value over all frames, and the frame and position where it occurs."""
 
     value: float = 0.0  # a length in [m], a fraction or a count
-    frame: float | None = None  # time code; None for a system, or without a value
+    frame: float | None = None  # time code; None for a system, or if there is no value
     point: int | None = None  # particle index; of an edge, the first
     at: tuple[float, float, float] | None = None  # position of the point [m]
     time: float | None = None  # time of a system [s]
@@ -90,7 +90,7 @@ class MeasuredSurface:
 
 @dataclass(slots=True)
 class ContactMeter:
-    """Measures the peaks of depth, piercing and strain over frames."""
+    """Measures the peaks of depth, intersections and strain over frames."""
 
     uses_seconds: bool = False  # whether frames are times in [s], as for systems
     start: float | None = None  # first measured time of a system [s]
@@ -119,7 +119,7 @@ class ContactMeter:
             surface: Sides and triangles to measure.
             solids: Closed surfaces that particles must stay outside of.
             depths: Depths in other colliders ``(N,)`` [m], below 0 outside.
-            open_surfaces: Other open surfaces, only tested for piercing.
+            open_surfaces: Other open surfaces, only tested for intersections.
         """
         if self.uses_seconds and self.start is None:
             self.start = frame
@@ -181,7 +181,7 @@ class ContactMeter:
 
     @property
     def text(self) -> str:
-        """Peaks of depth and strain as text; empty without contact and strain."""
+        """Peaks of depth and strain as text; empty if there was neither."""
         phrases = []
         if self.depth.value > MIN_DEPTH:
             depth = f"{length_text(self.depth.value, 2)} deep in what it touches"
@@ -194,7 +194,7 @@ class ContactMeter:
         return ", ".join(phrases)
 
     def notices(self, subject: str) -> list[Fault]:
-        """Return warnings of visible depth, piercing and strain (SIM180 to SIM182)."""
+        """Return warnings of visible depth, intersections and strain (SIM180-182)."""
         notices, remedy = [], "a shorter step" if self.uses_seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
             depth = length_text(self.depth.value, 2)

@@ -202,7 +202,7 @@ class SimulationRun(EntryRun):
         """Return the impulses that attached particles apply to bodies in a step.
 
         The step is the one that contains the time [s]. Also returns the start and end
-        of the step [s]; returns None without a pull.
+        of the step [s]; returns None if there are none.
         """
         steps = self.advance(t)
         start = self.step_time(steps)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import field, fields, is_dataclass, replace
+from dataclasses import Field, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Any, get_type_hints
 
@@ -222,7 +222,8 @@ def _collect_metadata(
         metadata.growing_axes[prefix] = axis
     state_fields = fields(state) if is_dataclass(state) else ()
     for state_field in state_fields:
-        name = f"{prefix}.{state_field.name}" if prefix else state_field.name
+        saved_name = _saved_name(state_field)
+        name = f"{prefix}.{saved_name}" if prefix else saved_name
         if "later" in state_field.metadata:
             metadata.later_types[name] = state_field.metadata["later"]
         if "added" in state_field.metadata:
@@ -246,19 +247,25 @@ def _state_arrays(state: Any, prefix: str = "") -> _Arrays:
             raise TypeError(message)
         return {prefix: array}
     arrays: _Arrays = {}
-    for name, value in _fields_by_name(state).items():
-        arrays |= _state_arrays(value, f"{prefix}.{name}" if prefix else name)
+    for saved_name, _, value in _items_of(state):
+        name = f"{prefix}.{saved_name}" if prefix else saved_name
+        arrays |= _state_arrays(value, name)
     return arrays
 
 
-def _fields_by_name(state: Any) -> dict[str, Any]:
-    """Return the fields of a record, or the items of a mapping."""
+def _items_of(state: Any) -> Iterator[tuple[str, str, Any]]:
+    """Yield saved name, name and value of each field of a record or mapping."""
     if isinstance(state, Mapping):
-        return dict(state)
-    return {
-        state_field.name: getattr(state, state_field.name)
-        for state_field in fields(state)
-    }
+        for name, value in state.items():
+            yield name, name, value
+    else:
+        for state_field in fields(state):
+            name = state_field.name
+            yield _saved_name(state_field), name, getattr(state, name)
+
+
+def _saved_name(state_field: Field[Any]) -> str:
+    return str(state_field.metadata.get("saved_name", state_field.name))
 
 
 def _restore(
@@ -272,8 +279,8 @@ def _restore(
     if isinstance(template, Mapping) or is_dataclass(template):
         parent = f"{prefix}." if prefix else ""
         values = {
-            name: _restore(value, arrays, metadata, f"{parent}{name}")
-            for name, value in _fields_by_name(template).items()
+            name: _restore(value, arrays, metadata, f"{parent}{saved_name}")
+            for saved_name, name, value in _items_of(template)
         }
         return replace(template, **values) if is_dataclass(template) else values  # type: ignore[type-var]
     array = arrays[prefix]
@@ -283,7 +290,7 @@ def _restore(
 def _restore_unset_field(
     arrays: _Arrays, record_types: Sequence[type[Any]], prefix: str
 ) -> Any:
-    """Return the value of a field that starts as None; None without arrays."""
+    """Return the value of a field that starts as None; None if no array was saved."""
     values_by_name = {
         name.removeprefix(f"{prefix}."): values if values.ndim else values.item()
         for name, values in arrays.items()

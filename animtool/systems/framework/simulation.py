@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from animtool.systems.framework.spec import JoinedEntry
 
 State = TypeVar("State")
-# Progress callback; None without.
+# Progress callback; None if no progress is shown.
 Progress: TypeAlias = Callable[[float], None] | None
 State_contra = TypeVar("State_contra", contravariant=True)
 
@@ -207,6 +207,11 @@ def field_set_later(*record_types: type[Any]) -> dict[str, Any]:
 def field_added_later() -> dict[str, Any]:
     """Mark a field that older state files lack; it keeps its initial value then."""
     return {"added": True}
+
+
+def saved_as(name: str) -> dict[str, Any]:
+    """Mark a field that has another name in state files."""
+    return {"saved_name": name}
 
 
 class StoppedError(ToleranceError):

@@ -94,7 +94,7 @@ class SystemSpec(FileModel):
         return {name: count for name, count in counts.items() if count}
 
     def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:  # noqa: ARG002
-        """Return the faults of conflicting keys, with the key as ``where``.
+        """Return faults for conflicting keys, with the key as ``where``.
 
         ``entry_data`` is the data read for the keys, as in a `SimContext`.
         """
@@ -113,7 +113,7 @@ class SystemSpec(FileModel):
         self,
         entry_data: Mapping[str, Any],  # noqa: ARG002
     ) -> tuple[Any, Sequence[Fault]]:
-        """Return the record and the faults of the entry when the file is read.
+        """Return the record of the entry, and its faults, when the file is read.
 
         A kind with properties beyond its keys, or that can be joined to others, returns
         an `EntryRecord`, or None if it cannot be built; `build` gets it from
@@ -186,4 +186,4 @@ class EntryRecord(Protocol):
         """Names of joined systems, and the keys that name them."""
 
     def joined_faults(self, members: Sequence[JoinedEntry]) -> Sequence[Fault]:
-        """Return the faults of joins with other systems, with the key of each join."""
+        """Return faults for invalid joins with other systems, each with its key."""

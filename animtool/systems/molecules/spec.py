@@ -14,7 +14,7 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Count,
     Name,
-    NotNegative,
+    NonNegative,
     NumberPair,
     Positive,
     Real,
@@ -59,7 +59,7 @@ class AtomsModel(FileModel):
     sigma: Annotated[Real, Ge(1e-3), Le(1e3)] = key(
         "Distance at which the pair potential is zero [nm].", 0.2, default=0.3405
     )
-    epsilon: NotNegative = key(
+    epsilon: NonNegative = key(
         "Depth of the potential well [kJ/mol].", 0.4, default=0.9961
     )
     charge: Real = key("Charge of each [e].", 1, default=0.0)
@@ -137,13 +137,13 @@ class MoleculesModel(PlacementModel, SystemSpec):
         0.8,
         default=None,
     )
-    damping: NotNegative = key(
+    damping: NonNegative = key(
         "Damping of charges: the damped shifted force (Fennell and Gezelter), damped "
         "by erfc of this times the distance [1/nm].",
         3,
         default=2.0,
     )
-    skin: NotNegative = key(
+    skin: NonNegative = key(
         "Neighbour lists reach this far beyond the cut-off [nm], and are rebuilt "
         "when an atom has moved by half of it.",
         0.2,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import field
 from functools import partial
 
 import numpy as np
@@ -17,7 +18,7 @@ from animtool.sim.system import Energy
 from animtool.systems.framework.colours import Quantities
 from animtool.systems.framework.interacting import Interacting
 from animtool.systems.framework.matter import PointMasses, check_distinct
-from animtool.systems.framework.simulation import SimContext, StoppedError
+from animtool.systems.framework.simulation import SimContext, StoppedError, saved_as
 from animtool.systems.nbody.galaxies import build_galaxies
 from animtool.systems.nbody.spec import AttractorModel, NbodyModel
 
@@ -52,7 +53,8 @@ class NbodyState:
     """State of bodies, with their accelerations."""
 
     motion: FloatArray  # positions [m], then velocities [m/s] (2, N, 3)
-    pulls: MutualGravity  # accelerations at these positions
+    # Accelerations at these positions.
+    gravity: MutualGravity = field(metadata=saved_as("pulls"))
     encounters: int  # number of steps with substeps so far
     divided: int  # largest number of substeps so far
 
@@ -62,11 +64,11 @@ class CloseEncounterError(Exception):
 
 
 def _check_closest_pair(
-    limit: float, t: float, x: FloatArray, pulls: MutualGravity
+    limit: float, t: float, x: FloatArray, gravity: MutualGravity
 ) -> None:
     """Raise `CloseEncounterError` if a pair orbits faster than a limit [1/s²]."""
-    if len(x) and pulls.rates.max() > limit:
-        raise CloseEncounterError(t, x, pulls.rates)
+    if len(x) and gravity.rates.max() > limit:
+        raise CloseEncounterError(t, x, gravity.rates)
 
 
 @np.errstate(all="ignore")
@@ -137,7 +139,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         return NbodyState(motion, self.compute_sums(motion[0]), 0, 1)
 
     def _state_sums(self, state: NbodyState) -> MutualGravity:
-        return state.pulls
+        return state.gravity
 
     def compute_sums(
         self,
@@ -183,8 +185,8 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
 
         The step is split into substeps if two bodies come too close for one step.
         """
-        substep_count = self._required_substeps(state.pulls.rates, dt)
-        encounter = CloseEncounterError(t, state.motion[0], state.pulls.rates)
+        substep_count = self._required_substeps(state.gravity.rates, dt)
+        encounter = CloseEncounterError(t, state.motion[0], state.gravity.rates)
         while substep_count <= self._spec.substeps:
             limit, step = math.inf, dt
             if self._has_fixed_steps:
@@ -233,7 +235,9 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
 
     def _suggested_step(self, state: NbodyState, t: float) -> float:
         x, masses = state.motion[0], self.bodies.masses
-        accelerations = state.pulls.accelerations + self.external_accelerations(t, x)[0]
+        accelerations = (
+            state.gravity.accelerations + self.external_accelerations(t, x)[0]
+        )
         centre = masses @ x / masses.sum()
         distances = np.maximum(np.linalg.norm(x - centre, axis=1), self._spec.softening)
         magnitudes = np.maximum(np.linalg.norm(accelerations, axis=1), 1e-300)
@@ -242,7 +246,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def _potential(self, state: NbodyState, t: float) -> float:
         masses, x = self.bodies.masses, state.motion[0]
         external = float(masses @ self.external_accelerations(t, x)[1])
-        return 0.5 * float(masses @ state.pulls.potentials) + external
+        return 0.5 * float(masses @ state.gravity.potentials) + external
 
     def _momenta(self, state: NbodyState) -> FloatArray:
         """Return total linear and angular momentum ``(2, 3)``."""
@@ -251,13 +255,13 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         return np.stack([momenta.sum(axis=0), np.cross(x, momenta).sum(axis=0)])
 
     def _quantities(self, state: NbodyState, t: float) -> Quantities:
-        (x, v), pulls = state.motion, state.pulls
+        (x, v), gravity = state.motion, state.gravity
         external, potentials = self.external_accelerations(t, x)
         return {
             **super()._quantities(state, t),
-            "energy": lambda: (v * v).sum(axis=1) / 2 + pulls.potentials + potentials,
+            "energy": lambda: (v * v).sum(axis=1) / 2 + gravity.potentials + potentials,
             "acceleration": lambda: np.linalg.norm(
-                pulls.accelerations + external, axis=1
+                gravity.accelerations + external, axis=1
             ),
         }
 
@@ -275,17 +279,17 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
             drifts = np.linalg.norm(momentum_change, axis=1) / scales
             values["momentum_drift"], values["angular_momentum_drift"] = drifts.tolist()
         if self.uses_tree:
-            values["force_error"] = self._force_error(x, state.pulls)
+            values["force_error"] = self._force_error(x, state.gravity)
         return values
 
-    def _force_error(self, x: FloatArray, pulls: MutualGravity) -> float:
+    def _force_error(self, x: FloatArray, gravity: MutualGravity) -> float:
         """Return the relative force error of the tree, from sampled bodies [1]."""
         sampled_bodies = np.linspace(0, len(x) - 1, ERROR_SAMPLES).astype(int)
         exact_accelerations = np.array(
             [self._direct_sum(x, x[i]) for i in sampled_bodies]
         )
         errors = np.linalg.norm(
-            pulls.accelerations[sampled_bodies] - exact_accelerations, axis=1
+            gravity.accelerations[sampled_bodies] - exact_accelerations, axis=1
         )
         magnitudes = np.maximum(np.linalg.norm(exact_accelerations, axis=1), 1e-300)
         return float(np.sqrt(((errors / magnitudes) ** 2).mean()))

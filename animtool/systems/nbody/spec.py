@@ -15,7 +15,7 @@ from animtool.documents.fields import (
     Count,
     Integer,
     Name,
-    NotNegative,
+    NonNegative,
     Positive,
     Real,
     Vector,
@@ -44,7 +44,7 @@ class BodiesModel(FileModel):
         default=None,
     )
     mass: Positive = key("Mass of each [kg].", 0.5, default=1.0)
-    radius: NotNegative = key("Half their width when drawn [m].", 0.05, default=0.02)
+    radius: NonNegative = key("Half their width when drawn [m].", 0.05, default=0.02)
 
 
 class SpheroidModel(FileModel):
@@ -73,7 +73,7 @@ class DiscModel(FileModel):
     cutoff: Annotated[Real, Gt(0), Le(100)] = key(
         "Largest radius of a body [scale lengths].", 4, default=5.0
     )
-    stability: NotNegative = key(
+    stability: NonNegative = key(
         "Toomre's Q: 0 is cold and forms clumps; above 1 it is stable.",
         1.5,
         default=1.2,
@@ -103,11 +103,11 @@ class GalaxyModel(PlacementModel):
         default=None,
     )
     shows_halo: bool = key("Write the bodies of the halo.", False, default=True)
-    nucleus: NotNegative = key(
+    nucleus: NonNegative = key(
         "Mass of a central body [kg]; 0 is none.", 0.1, default=0.0
     )
     seed: Seed = 0
-    radius: NotNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
+    radius: NonNegative = key("Half the width of its bodies [m].", 0.01, default=0.02)
 
     @property
     def components(self) -> list[DiscModel | SpheroidModel]:
@@ -139,8 +139,8 @@ class EncounterModel(PlacementModel):
 class AttractorModel(PlacedModel):
     """A mass on a prescribed path that attracts bodies."""
 
-    mass: NotNegative = key("Mass [kg].", 10)
-    softening: NotNegative = key(
+    mass: NonNegative = key("Mass [kg].", 10)
+    softening: NonNegative = key(
         "Length below which its attraction stops growing [m].", 0.2, default=0.1
     )
 
@@ -176,10 +176,10 @@ class NbodyModel(SystemSpec):
         [{"mass": 10, "at": [0, 5, 0]}],
         default=[],
     )
-    gravity_constant: NotNegative = key(
+    gravity_constant: NonNegative = key(
         "Gravitational constant [m³/(kg s²)]; in nature 6.674e-11.", 0.5, default=1.0
     )
-    softening: NotNegative = key(
+    softening: NonNegative = key(
         "Length ε of Plummer softening [m]: two bodies attract each other by `d/(d² "
         "+ ε²)^1.5`. With 0, close encounters are resolved with shorter steps.",
         0.02,

@@ -146,13 +146,13 @@ class ParticleFlow(_ParticleSystem, FirstOrder):
 
 
 def particle_energies(
-    setup: Particles, particles: ParticleState, state: FloatArray
+    setup: Particles, particles: ParticleState, motion: FloatArray
 ) -> tuple[FloatArray, bool]:
     """Return kinetic and potential energies ``(2, N)`` [J].
 
     Also returns whether all forces have a potential; forces without one are left out.
     """
-    x, v = state
+    x, v = motion
     kinetic = 0.5 * particles.masses * (v * v).sum(axis=1)
     potentials = [force.potential(x, particles) for force in setup.forces]
     known_potentials = [values for values in potentials if values is not None]

@@ -78,7 +78,7 @@ class Emission:
 
 @dataclass(frozen=True)
 class Velocity:
-    """A velocity field as expressions of x, y, z, t and age."""
+    """A velocity field given by expressions in x, y, z, t and age."""
 
     x: str = key("Component along x [m/s].", "-z", "0")
     y: str = key("Component along y [m/s].", "0.2", "0")

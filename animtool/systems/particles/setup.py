@@ -77,7 +77,7 @@ class Particles:
             raise OptionError(faults)
 
     def _option_faults(self) -> list[Fault]:
-        """Return faults of options and of their combination."""
+        """Return faults in the options and their combinations."""
         faults: list[Fault] = []
         try:
             checked_integrator(self.options)
@@ -98,7 +98,7 @@ class Particles:
         return faults
 
     def _part_faults(self) -> list[Fault]:
-        """Return faults of emitters, forces, colliders and regions."""
+        """Return faults in emitters, forces, colliders and regions."""
         faults = _record_faults("emitters", self.emitters)
         for i, force in enumerate(self.forces):
             location = f"{_table_name(force)}[{i}]"
@@ -116,7 +116,7 @@ class Particles:
 def _record_faults(
     key: str, records: Sequence[Emitter | Collider | Sheet]
 ) -> list[Fault]:
-    """Return the faults of records, located by name or number."""
+    """Return the faults in records, located by name or number."""
     return [
         fault
         for i, record in enumerate(records)

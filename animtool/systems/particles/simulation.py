@@ -350,7 +350,7 @@ class ParticleSimulation:
         )
 
     def _empty_notice(self, t: float) -> Fault:
-        """Return a warning that there are no particles until a time [s] (SIM188)."""
+        """Return a warning that no particles exist until a time [s] (SIM188)."""
         message = "there are no particles in any frame"
         emitters = self.setup.emitters
         regions = [

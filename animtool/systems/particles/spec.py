@@ -118,7 +118,7 @@ class ParticlesModel(ForcedSpec):
         )
 
     def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:
-        """Return faults of keys and combinations (SIM001, SIM004, SIM005, SIM024)."""
+        """Return faults in keys and combinations (SIM001, SIM004, SIM005, SIM024)."""
         try:
             self.setup(entry_data).check()
         except OptionError as error:

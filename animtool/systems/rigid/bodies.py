@@ -118,7 +118,7 @@ class RigidBodies:
 
     @cached_property
     def release_times(self) -> FloatArray:
-        """Time at which each body is released ``(B,)`` [s]; -infinity without one.
+        """Time at which each body is released ``(B,)`` [s]; -infinity if none is set.
 
         Without a release, dynamic bodies move freely from the start, and kinematic
         bodies never do.

@@ -42,7 +42,7 @@ class BodyJoint:
 
     name: str
     kind: int  # value of `JOINT_KINDS`
-    bodies: tuple[int, int]  # indices of both dynamic bodies; -1 without a first one
+    bodies: tuple[int, int]  # indices of dynamic bodies; the first may be -1
     parameters: FloatArray | list[float]  # frames, limits and drive (27,)
     anchor: Poses  # animated frame if there is no first dynamic body
     parent_body: int  # index of the parent among all bodies; -1 for none
@@ -375,7 +375,7 @@ def _drive_parameters(model: RigidJointModel, location: str) -> list[float]:
 def _motor_speed(
     model: RigidJointModel, drive: JointDriveModel, location: str
 ) -> float:
-    """Return the speed of a joint motor [rad/s] or [m/s]; 0 without a motor."""
+    """Return the speed of a joint motor [rad/s] or [m/s]; 0 if it has none."""
     if drive.speed is None:
         return 0.0
     if model.type == "ball":

@@ -21,12 +21,12 @@ def oscillation_notices(
     state: RigidState, joints: Joints, step: float
 ) -> Iterator[Fault]:
     """Yield a warning about a drive that oscillates too fast for the step (SIM171)."""
-    if state.swinging < 0:
+    if state.fastest_drive_joint < 0:
         return
-    name = excerpt(joints.members[state.swinging].name)
+    name = excerpt(joints.members[state.fastest_drive_joint].name)
     message = f"the drive of joint {name} oscillates too fast for a step of "
     message += f"{plain_number(step)} s: it may lose energy or get out of phase"
-    shorter_step = plain_number(floor_to_two_digits(state.follows))
+    shorter_step = plain_number(floor_to_two_digits(state.max_drive_step))
     hint = f"use step: {shorter_step}, or more damping, or less stiffness"
     yield warning("SIM171", message, hint)
 
@@ -50,8 +50,10 @@ def depth_notices(
     names of all shapes.
     """
 
-    def pair_text(k: int) -> str:
-        return " and ".join(excerpt(shape_names()[i]) for i in state.deepest_pairs[k])
+    def pair_text(pair_index: int) -> str:
+        return " and ".join(
+            excerpt(shape_names()[i]) for i in state.deepest_pairs[pair_index]
+        )
 
     max_depth, start_depth = state.deepest.tolist()
     if start_depth > MAX_START_OVERLAP * bounding_radius:

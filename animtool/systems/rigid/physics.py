@@ -200,8 +200,10 @@ def body_entries(
             keys["velocity"] = body.velocity.tolist()
             keys["spin"] = np.degrees(body.spin).tolist()
         models.append(_body_model(keys, body.origin, entry_key))
-        poses_over_time = body.pose[None] if body.path is None else body.path
-        times = body.times if body.path is not None else np.zeros(1)
+        poses_over_time = body.kinematic_poses
+        times = body.times
+        if poses_over_time is None:
+            poses_over_time, times = body.pose[None], np.zeros(1)
         poses = Poses(times, poses_over_time[:, :3], poses_over_time[:, 3:])
         shapes = [
             {"shape": collider_shape_of(shape), "hull": shape.hull}

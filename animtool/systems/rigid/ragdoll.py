@@ -152,7 +152,7 @@ def _body_kinds(
 
 
 def _parent_bodies(rig: Rig, joints: IntArray) -> IntArray:
-    """Return the parent body of each body ``(N,)``; -1 for none."""
+    """Return the parent body of each body ``(N,)``; -1 if there is none."""
     body_of_joint = {int(j): i for i, j in enumerate(joints)}
     parents = np.full(len(joints), -1)
     body_of_root: dict[int, int] = {}
@@ -191,7 +191,7 @@ def _rest_frames(
 
 
 def movable_root(rig: Rig, joint: int) -> int:
-    """Return the nearest free joint at or above a joint; without one, the root."""
+    """Return the nearest free joint at or above a joint, or else the root."""
     ancestors = rig.upwards(joint)
     free_joints = (k for k in ancestors if rig.joints[k].type is JointType.FREE)
     return next(free_joints, ancestors[-1])

@@ -11,7 +11,11 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
-from animtool.systems.framework.simulation import field_added_later, growing_field
+from animtool.systems.framework.simulation import (
+    field_added_later,
+    growing_field,
+    saved_as,
+)
 from animtool.systems.framework.surfaces import SystemBodies
 from animtool.systems.rigid.bodies import RigidBodies
 
@@ -41,9 +45,13 @@ class RigidState:
     awake: int = 0  # number of bodies that are awake
     residual: float = 0.0  # change of velocities in the last iteration [m/s]
     # Largest step that resolves the fastest oscillating drive [s].
-    follows: float = field(default=0.0, metadata=field_added_later())
+    max_drive_step: float = field(
+        default=0.0, metadata=field_added_later() | saved_as("follows")
+    )
     # Joint of that drive; -1 is none.
-    swinging: int = field(default=-1, metadata=field_added_later())
+    fastest_drive_joint: int = field(
+        default=-1, metadata=field_added_later() | saved_as("swinging")
+    )
 
 
 class RigidStates:
@@ -100,7 +108,7 @@ class RigidStates:
             angular_impulses = moments - np.cross(state.motion[:, :3], impulses)
             return impulses / bodies.masses[:, None], angular_impulses
 
-        displacement, twist = velocity_changes(wrenches.delayed_impulses)
+        displacement, twist = velocity_changes(wrenches.time_weighted_impulses)
         twisted_motion = motion.copy()
         twisted_motion[:, 10:13] = twist
         motion[:, :3] += displacement

@@ -134,8 +134,9 @@ class RigidSimulation(RigidStates):
         sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
         if not (sizes > 0.5).all():
             return "the orientation of a body is not a rotation"
-        if state.swinging >= len(self.joints):
-            return f"there is no joint {state.swinging} with an oscillating drive"
+        joint = state.fastest_drive_joint
+        if joint >= len(self.joints):
+            return f"there is no joint {joint} with an oscillating drive"
         pairs, count = state.deepest_pairs, len(self._shape_names())
         if pairs.size and not -1 <= pairs.min() <= pairs.max() < count:
             return f"a shape that penetrates another is outside the {count}"
@@ -256,7 +257,7 @@ class RigidSimulation(RigidStates):
             kernel_result[12] * self._spec.step / dt,
             kernel_result[13],
         )
-        is_faster = state.swinging < 0 or max_step < state.follows
+        is_faster = state.fastest_drive_joint < 0 or max_step < state.max_drive_step
         is_worse = oscillating_joint >= 0 and is_faster
         return RigidState(
             next_motion,
@@ -269,8 +270,10 @@ class RigidSimulation(RigidStates):
             pressing,
             awake,
             residual,
-            max_step if is_worse else state.follows,
-            int(phase.intact_joints[oscillating_joint]) if is_worse else state.swinging,
+            max_step if is_worse else state.max_drive_step,
+            int(phase.intact_joints[oscillating_joint])
+            if is_worse
+            else state.fastest_drive_joint,
         )
 
     def _check_bounds(self, motion: FloatArray, t: float) -> None:

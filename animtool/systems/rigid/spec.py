@@ -14,7 +14,7 @@ from animtool.documents.check import FileModel
 from animtool.documents.fields import (
     Integer,
     Name,
-    NotNegative,
+    NonNegative,
     Positive,
     Quaternion,
     Real,
@@ -109,7 +109,7 @@ class BodyModel(PlacedModel):
     )
     density: Positive = key("Density [kg/m³].", 500, default=1000.0)
     mass: Positive | None = key("Mass [kg], instead of density.", 12, default=None)
-    inertia: Annotated[list[NotNegative], Len(3, 3)] | None = key(
+    inertia: Annotated[list[NonNegative], Len(3, 3)] | None = key(
         "Principal moments of inertia about x, y and z of its frame, through its "
         "centre of mass [kg m²]. Default: those of its shapes.",
         [1, 2, 3],
@@ -141,7 +141,7 @@ class BodyModel(PlacedModel):
         0.3,
         default=0.0,
     )
-    friction: NotNegative = key(
+    friction: NonNegative = key(
         "Coulomb friction coefficient; in a contact the larger of both applies.",
         0.6,
         default=0.5,
@@ -199,8 +199,8 @@ class JointDriveModel(FileModel):
         [0.966, 0, 0.259, 0],
         default=[1.0, 0.0, 0.0, 0.0],
     )
-    stiffness: NotNegative = key("[N m/rad], or [N/m].", 200, default=0.0)
-    damping: NotNegative = key("[N m s/rad], or [N s/m].", 10, default=0.0)
+    stiffness: NonNegative = key("[N m/rad], or [N/m].", 200, default=0.0)
+    damping: NonNegative = key("[N m s/rad], or [N s/m].", 10, default=0.0)
     speed: Real | None = key(
         "Instead of `stiffness`: the constant speed of a motor, for a pin [deg/s], "
         "or for a prismatic joint [m/s]. Rigid up to `most`, or with a force of "
@@ -208,7 +208,7 @@ class JointDriveModel(FileModel):
         90,
         default=None,
     )
-    most: NotNegative | None = key(
+    most: NonNegative | None = key(
         "Largest torque [N m] or force [N]. Default: no limit.", 50, default=None
     )
 
@@ -275,7 +275,7 @@ class RigidJointModel(PlacedModel):
 class SleepModel(FileModel):
     """When bodies fall asleep."""
 
-    speed: NotNegative = key(
+    speed: NonNegative = key(
         "Speed below which a body can sleep [m/s]; 0 is never.", 0.01, default=0.02
     )
     time: Positive = key("Time below that speed [s].", 1, default=0.5)

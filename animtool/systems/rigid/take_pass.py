@@ -271,7 +271,7 @@ def _run_notices(
     fall_transforms: tuple[FloatArray, FloatArray],
     first_frame: float,
 ) -> list[Fault]:
-    """Return the notices of a run, including the joint that exceeds its limits most.
+    """Return the notices of a run, with the joint that exceeds its limits most.
 
     ``fall_transforms`` are local translations ``(F, J, 3)`` and rotations ``(F, J, 4)``
     of all joints in the fall, which begins at ``first_frame``.
@@ -309,7 +309,7 @@ def _run_notices(
 
 
 def _check_ranges(options: RagdollOptions, option: str = "") -> None:
-    """Raise the faults of all options, or of the named option only."""
+    """Raise all faults in the options, or only those of the named option."""
     faults = [fault for fault in range_faults(options) if option in ("", fault.where)]
     has_density = options.density != RagdollOptions().density
     if option in ("", "density") and options.mass is not None and has_density:

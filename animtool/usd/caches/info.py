@@ -68,7 +68,7 @@ class PointPrimSummary:
     orientations: bool  # whether it has orientations
     primvars: list[str]  # names of its primvars
     # Lowest and highest corner of its authored extents over all samples, in local
-    # space; None without one.
+    # space; None if there is none.
     extent: tuple[list[float], list[float]] | None
 
 
@@ -222,7 +222,7 @@ def _extent_union(
 
 
 def _missing_chunks(chunks: Sequence[ChunkSet], file_path: str) -> list[Fault]:
-    """Report the files of value clips that do not exist."""
+    """Return a warning for each value clip set with missing files."""
     return [
         Fault(
             "USD276",

@@ -95,7 +95,7 @@ def transform_points(points: FloatArray, matrix: FloatArray) -> FloatArray:
 
 
 def time_codes_of(times: Sequence[float]) -> list[Any]:
-    """Return times as `Usd.TimeCode` values; the default time code without times."""
+    """Return times as `Usd.TimeCode` values, or the default time code if empty."""
     return [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
 
 
@@ -154,7 +154,7 @@ class PointSample:
     """Points, ids and instance transforms of a prim at a time code, world space."""
 
     points: FloatArray  # (N, 3) [m]
-    ids: IntArray | None  # (N,); None without ids
+    ids: IntArray | None  # (N,); None if points have no ids
     orientations: FloatArray | None = None  # x, y, z, w (N, 4); None unless instances
     scales: FloatArray | None = None  # as authored (N, 3) [1]; None unless instances
     # Prototype index (N,); None unless instances.
@@ -209,7 +209,7 @@ class PointSource:
         count = len(points)
 
         def array_rows(*names: str, width: int = 0) -> Any:
-            """Return an attribute's rows, or integers if no width; None if absent."""
+            """Return an attribute's rows, or integers if ``width`` is 0, or None."""
             attr = next(
                 (prim.GetAttribute(n) for n in names if reader.has_value(n)), None
             )

@@ -61,7 +61,7 @@ class VisibleMesh:
     counts: IntArray  # number of corners of each face ``(M,)``
     indices: IntArray  # point index of each corner, face by face
     color: tuple[float, float, float] | None  # None if not authored
-    # Linear, per point ``(N, 3)``; None without point colors.
+    # Linear, per point ``(N, 3)``; None if points have no colors.
     colors: FloatArray | None = None
 
 
@@ -153,7 +153,7 @@ class VisiblePrim:
 
     @cached_property
     def color(self) -> tuple[float, float, float] | None:
-        """Mean linear color of the prim at the start; None without display color."""
+        """Mean linear color of the prim at the start; None if it has none."""
         code = self._stage.stage.GetStartTimeCode()
         colors = self.colors(code)
         if not len(colors):

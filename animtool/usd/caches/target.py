@@ -247,7 +247,7 @@ def _unusable_normals(mesh: Any, *, has_vertex_normals: bool) -> tuple[str, ...]
 def _count_notice(
     code: str, names: Sequence[str], text: str, hint: str, path: Path
 ) -> list[Fault]:
-    """Return a warning that counts and lists prim names; no warning without names."""
+    """Return a warning that counts and lists prim names; empty if there are none."""
     if not names:
         return []
     message = f"{len(names)} {text}: {listed(names, MAX_LISTED_PRIMS)}"
@@ -255,7 +255,7 @@ def _count_notice(
 
 
 def _static_mesh_notice(root: Any, deformed_paths: set[Any], path: Path) -> list[Fault]:
-    """Report meshes that UsdSkel animated and the cache leaves static."""
+    """Return a warning if the cache leaves meshes static that UsdSkel animated."""
     static_meshes = [
         str(query.GetPrim().GetPath())
         for binding in skeleton_bindings(UsdSkel.Root(root))

@@ -171,7 +171,7 @@ class PointSpace:
 
 @dataclass(slots=True)
 class CachedMesh:
-    """Report on one written PointBased prim."""
+    """What was written for one PointBased prim, as in reports."""
 
     path: str
     vertices: int = 0  # most points of any frame
@@ -377,7 +377,7 @@ class FrameEncoder(Generic[FrameT]):
 def bounds(
     points: Float32Array, padding: float | FloatArray | Float32Array
 ) -> Float32Array:
-    """Return the padded bounds of points ``(2, 3)``; zeros without points."""
+    """Return the padded bounds of points ``(2, 3)``; zeros if there are none."""
     if not len(points):
         return np.zeros((2, 3), np.float32)
     if isinstance(padding, float):

@@ -27,7 +27,7 @@ class _SkinnedPrim:
 
     query: Any  # `UsdSkel.SkinningQuery`
     points: Any  # rest points
-    shapes: Any  # `UsdSkel.BlendShapeQuery`; None without shapes
+    shapes: Any  # `UsdSkel.BlendShapeQuery`; None if there are no shapes
     offsets: list[Any]  # points that each shape moves, and their offsets
 
 
@@ -57,7 +57,7 @@ class SkinnedBounds:
         )
 
     def at_time(self, code: Any) -> FloatArray | None:
-        """Return the bounds ``(2, 3)`` at a time code; None without skinned points.
+        """Return the bounds ``(2, 3)`` at a time code; None if no point is skinned.
 
         Also None if UsdSkel cannot skin: other checks report invalid influences.
         """

@@ -24,7 +24,7 @@ class SampledArray:
 
     times: FloatArray  # time codes ``(F,)``; NaN alone for the default
     arrays: list[Any]  # one per time; None if blocked
-    counts: IntArray  # array lengths ``(F,)``; -1 without a value
+    counts: IntArray  # array lengths ``(F,)``; -1 if there is no value
 
     def rows(self, count: int, width: int) -> tuple[IntArray, AnyArray]:
         """Return the samples whose arrays have a given length.

@@ -54,12 +54,12 @@ class AnimationTake:
 
     path: str  # path of the SkelAnimation
     take: Take  # F frames, one per sample
-    # Time codes of the samples in the file ``(F,)``; None without samples.
+    # Time codes of the samples in the file ``(F,)``; None if it has none.
     codes: FloatArray | None
     # Frame range authored for the take, or for the stage if this take spans it.
     frame_range: tuple[float, float] | None
     has_rest: bool  # whether the Skeleton is on the stage
-    # Names of joints that influence points; None without a skinned mesh.
+    # Names of joints that influence points; None if no mesh is skinned.
     influencing_joints: frozenset[str] | None
     # Joint positions of the bind pose, world ``(J, 3)`` [m].
     bind_positions: FloatArray | None
@@ -74,7 +74,7 @@ class _StageData:
 
     # First and last sample of each prim, by path.
     spans: dict[Any, tuple[float, float]]
-    # First and last sample of the stage; None without samples.
+    # First and last sample of the stage; None if it has none.
     stage_range: tuple[float, float] | None
     # Bindings and their joint indices, by the path of their Skeleton.
     skins: dict[Any, list[tuple[Any, Any]]]
@@ -214,7 +214,7 @@ def _animation_take(
 def _animation_rig(
     subject: StageSubject, animation: Any, skeleton: Any, joints: list[str], path: Path
 ) -> SkeletonRig:
-    """Return an animation's rig; without a Skeleton, its first sample is the rest."""
+    """Return an animation's rig; the first sample is its rest if it has no Skeleton."""
     if skeleton is not None and token_array(skeleton.GetJointsAttr()):
         return skeleton_rig(skeleton, path)
     meters = UsdGeom.GetStageMetersPerUnit(subject.stage)

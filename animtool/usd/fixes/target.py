@@ -38,7 +38,7 @@ class NotFixableError(Exception):
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """Report on an edit: a text, and the largest change of a value."""
+    """Result of an edit: a description, and the largest change of a value."""
 
     text: str  # the action and its counts, for the report
     # Largest change of a number, None if not meaningful.

@@ -160,7 +160,7 @@ def system_clip_files(output: Path) -> ClipFiles:
 
 
 class FrameReport(Protocol):
-    """Report on the frames of one prim."""
+    """What was written for the frames of one prim, as in reports."""
 
     def add_block(self, block: FrameBlock) -> None:
         """Add a block of written frames to the report."""

@@ -66,7 +66,7 @@ class PrimLocation:
 
 
 def token_array(attr: Any) -> list[str]:
-    """Return the tokens of an attribute; empty without a value."""
+    """Return the tokens of an attribute; empty if it has no value."""
     return [str(token) for token in (attr.Get() if attr else None) or ()]
 
 
@@ -97,7 +97,7 @@ def joint_parents(joints: Sequence[str]) -> IntArray:
 
 
 def unit_and_axis_faults(stage: Any) -> Iterator[Fault]:
-    """Yield faults of an invalid stage unit or up axis."""
+    """Yield faults for an invalid stage unit or up axis."""
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     if not MIN_RATE_OR_UNIT <= unit <= MAX_RATE_OR_UNIT:
         yield finding("USD260", "/", f"metersPerUnit is {unit:g}")
@@ -116,7 +116,7 @@ def matrix_array(attr: Any) -> FloatArray:
 def joint_order_faults(
     attribute_path: object, joints: Sequence[str]
 ) -> Iterator[Fault]:
-    """Yield faults of joint paths: duplicates, or a child before its parent."""
+    """Yield faults in joint paths: duplicates, or a child before its parent."""
     repeated_joints = duplicate_tokens(joints)
     if repeated_joints:
         message = f"{len(repeated_joints)} of {len(joints)} joints are duplicates: "
@@ -137,7 +137,7 @@ def joint_order_faults(
 def bind_faults(
     skeleton: Any, joints: Sequence[str], *, is_skinned: bool
 ) -> Iterator[Fault]:
-    """Yield faults of bind transforms; only a skinned Skeleton requires them."""
+    """Yield faults in bind transforms; only a skinned Skeleton requires them."""
     attr = skeleton.GetBindTransformsAttr()
     bind = matrix_array(attr)
     if len(bind) != len(joints):

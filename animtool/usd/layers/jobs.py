@@ -93,7 +93,7 @@ class WrittenBlock:
     codes: FloatArray  # time codes ``(F,)``
     translations: Float32Array  # ``(F, J, 3)`` float32
     rotations: Float32Array  # ``(F, J, 4)`` float32
-    # ``(F, J, 3)`` float16; None without scales.
+    # ``(F, J, 3)`` float16; None if nothing is scaled.
     scales: npt.NDArray[np.float16] | None
     extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
     # Motion of the SkelRoot, if it has that of the root joint.
@@ -101,7 +101,7 @@ class WrittenBlock:
     error: float  # largest displacement of a joint by rounding [m]
     error_code: float  # time code of the largest error
     error_joint_index: int  # joint with the largest error
-    # Weights of the rig's shapes ``(F, S)`` float32; None without shapes.
+    # Weights of the rig's shapes ``(F, S)`` float32; None if it has none.
     weights: Float32Array | None = None
     has_rounded_scales: bool = False  # whether float16 changes a scale
 
@@ -163,18 +163,18 @@ class UsdTake:
     # Legal, unique name in a clip library; empty for a single animation.
     name: str = ""
     source_name: str = ""  # name of a library take's source
-    # Props next to the rig, collected while the blocks are read; None without.
+    # Props next to the rig, collected while blocks are read; None if there are none.
     props: PropSamples | None = None
     # Placement from take space to the space of a rig layer; see `PropPlacements`.
     rig_from_take: Callable[[FloatArray], Placement] | None = None
     is_reduced: bool = False  # whether redundant samples are removed
-    # Recorded rest placement; empty without one, or if a rig layer has it.
-    rest_record: Mapping[str, Any] = field(default_factory=dict)
+    # Recorded rest placement; empty if there is none, or if a rig layer has it.
+    rest_metadata: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(slots=True)
 class WrittenTake:
-    """Report on one written take."""
+    """What was written for one take, as in reports."""
 
     animation: str  # path of its SkelAnimation
     span: FrameSpan  # first and last frame, and time codes per second

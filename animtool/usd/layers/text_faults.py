@@ -83,7 +83,7 @@ over or class")
 
 
 def layer_fault(text: str, path: Path) -> Fault:
-    """Return the fault of a layer that USD cannot parse (USD001).
+    """Return a fault for a layer that USD cannot parse (USD001).
 
     Args:
         text: USD's error text, without its source locations.

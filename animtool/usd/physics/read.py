@@ -283,7 +283,7 @@ def _read_body(source: PhysicsStage, prim: Any, name: str) -> PhysicsBody:
         spin=np.radians(angular_velocity),
         kinematic=is_kinematic,
         times=times,
-        path=poses,
+        kinematic_poses=poses,
         origin=f"{source.path.name}: {prim.GetPath()}",
     )
 

@@ -38,7 +38,7 @@ class PropPlacements:
     # Returns the placement from take space to that rig's space at time codes; None is
     # the identity.
     rig_from_take: Callable[[FloatArray], Placement] | None = None
-    variant: str = ""  # path of the model in a take's variant; empty without variants
+    variant: str = ""  # path of the model in a take's variant; empty if there are none
 
     def unit_at_path(self, path: str) -> float:
         """Return the length unit of the space at a prim path [m]."""

@@ -78,10 +78,10 @@ def world_matrices(prim: Any, codes: FloatArray, relative_to: Any = None) -> Flo
     matrices = []
     for code in codes.tolist():
         cache.SetTime(Usd.TimeCode(code))
-        world = cache.GetLocalToWorldTransform(prim)
+        matrix = cache.GetLocalToWorldTransform(prim)
         if relative_to is not None:
-            world = world * cache.GetLocalToWorldTransform(relative_to).GetInverse()
-        matrices.append(world)
+            matrix = matrix * cache.GetLocalToWorldTransform(relative_to).GetInverse()
+        matrices.append(matrix)
     return np.array(matrices, np.float64).reshape(-1, 4, 4)
 
 

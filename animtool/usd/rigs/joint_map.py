@@ -40,7 +40,7 @@ class RigJointMap:
     # Notices about joints and shapes that the target lacks or spells differently.
     notices: list[Fault]
     shapes: tuple[str, ...] = ()  # names of the take's shapes in the target
-    # Fit of the take's rest skeleton to the rig; None without joints.
+    # Fit of the take's rest skeleton to the rig; None if there are no joints.
     fit: RigFit | None = None
     # Returns the placement from take space to the rig's space at time codes ``(F,)``;
     # None is the identity.
@@ -200,7 +200,7 @@ def _names_notice(
     hint: str | None,
     severity: Severity = Severity.WARNING,
 ) -> list[Fault]:
-    """Return a notice that lists names; none without names."""
+    """Return a notice that lists names; empty if there are no names."""
     return [names_fault(code, message, names, path, hint, severity)] if names else []
 
 
@@ -286,7 +286,7 @@ def match_shapes(
 
 
 def _rig_shapes(target: RigTarget) -> set[str] | None:
-    """Return the blend shapes of a rig's meshes; None without meshes."""
+    """Return the blend shapes of a rig's meshes; None if it has no meshes."""
     root = target.stage.GetPrimAtPath(target.to_stage_path(target.paths.root))
     meshes = [
         prim

@@ -366,7 +366,7 @@ def search_root(stage: Any, prim_path: str | None) -> str:
 
 
 def composition_notices(stage: Any, file_path: str) -> list[Fault]:
-    """Report unresolved references of a stage."""
+    """Return a warning for each unresolved reference of a stage."""
     hint = "what it holds is missing; correct the path, or restore the file"
     return [
         Fault("USD112", f"{prim}: {text}"[:300], file_path, (), hint, Severity.WARNING)
@@ -375,7 +375,7 @@ def composition_notices(stage: Any, file_path: str) -> list[Fault]:
 
 
 def skipped_skeletons_notice(skeletons: list[Any], file_path: str) -> list[Fault]:
-    """Report the Skeletons that are skipped if a stage has more than one."""
+    """Return a warning that lists skipped Skeletons if a stage has more than one."""
     if len(skeletons) < 2:
         return []
     first_path, *other_paths = [str(skeleton.GetPath()) for skeleton in skeletons]

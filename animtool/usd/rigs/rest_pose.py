@@ -120,7 +120,7 @@ def collapsed_bone_faults(skeleton: Any, joints: Sequence[str]) -> Iterator[Faul
 
 
 def _bone_lengths(matrices: FloatArray, parents: IntArray) -> FloatArray:
-    """Return the distance of each joint from its parent; 0 for roots ``(J,)``."""
+    """Return the distance of each joint from its parent ``(J,)``; 0 for roots."""
     points = matrices[:, 3, :3]
     offsets = np.where(parents[:, None] < 0, 0.0, points - points[parents])
     return np.asarray(np.linalg.norm(offsets, axis=1))
@@ -129,7 +129,7 @@ def _bone_lengths(matrices: FloatArray, parents: IntArray) -> FloatArray:
 def rest_faults(
     skeleton: Any, joints: Sequence[str], *, is_animated: bool = True
 ) -> Iterator[Fault]:
-    """Yield faults of the rest transforms of a Skeleton with joints.
+    """Yield faults in the rest transforms of a Skeleton with joints.
 
     ``is_animated`` says whether its bound animation applies, which a layer over the rig
     replaces.
@@ -150,7 +150,7 @@ def rest_faults(
 def _missing_rest_fault(
     skeleton: Any, joints: Sequence[str], *, is_animated: bool
 ) -> Fault:
-    """Return the fault of missing rest transforms; a warning if replaceable."""
+    """Return a fault for missing rest transforms, a warning if they are replaceable."""
     location = skeleton.GetRestTransformsAttr().GetPath()
     message = f"no restTransforms for {counted(len(joints), 'joint')}"
     unanimated_joints = (

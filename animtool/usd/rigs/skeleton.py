@@ -41,7 +41,7 @@ if TYPE_CHECKING:
 PLACEMENT_KEY = "stands"
 
 
-def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
+def build_rest_metadata(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, Any]:
     """Return the rest placement of a rig as customData; empty if it has none.
 
     ``rest_pose_rig`` is the rig whose rest pose the file has; None is the same rig. If
@@ -54,11 +54,11 @@ def build_rest_record(rig: Rig, rest_pose_rig: Rig | None = None) -> dict[str, A
     ):
         return {}
     rest_placement = rig.placement or Placement.from_rotation(so3.IDENTITY)
-    record: dict[str, Any] = {
+    metadata: dict[str, Any] = {
         "translate": gf_vector(rest_placement.translations[0]),
         "rotate": gf_quaternion(rest_placement.rotations[0]),
     }
-    return record | ({"rides": True} if rig.has_animated_parents else {})
+    return metadata | ({"rides": True} if rig.has_animated_parents else {})
 
 
 def apply_recorded_rest(
@@ -103,11 +103,11 @@ def _recorded_placement(
     # Writing does not need stages.
     from animtool.usd.rigs.prims import stored_data
 
-    record = stored_data(prim).get(PLACEMENT_KEY)
-    if record is None:
+    metadata = stored_data(prim).get(PLACEMENT_KEY)
+    if metadata is None:
         return None
     position, orientation = (
-        record.get(key) if isinstance(record, dict) else None
+        metadata.get(key) if isinstance(metadata, dict) else None
         for key in ("translate", "rotate")
     )
     if not isinstance(position, Gf.Vec3d) or not isinstance(orientation, Gf.Quatd):
@@ -118,7 +118,7 @@ def _recorded_placement(
     if not np.isfinite(translation).all() or not abs(length - 1.0) < 1e-3:
         location.fail("USD007", f"customData animtool:{PLACEMENT_KEY} is malformed")
     placement = Placement(translation[None], rotation[None] / length, np.ones(1))
-    return placement, bool(record.get("rides", False))
+    return placement, bool(metadata.get("rides", False))
 
 
 _TYPES = Sdf.ValueTypeNames
@@ -158,8 +158,8 @@ def author_rig(
         custom_data["joints"] = extras_json
     if names.originals:
         custom_data["names"] = names.originals
-    if record := build_rest_record(rig):
-        custom_data[PLACEMENT_KEY] = record
+    if metadata := build_rest_metadata(rig):
+        custom_data[PLACEMENT_KEY] = metadata
     if custom_data:
         spec.SetInfo("customData", {"animtool": custom_data})
 

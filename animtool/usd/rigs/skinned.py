@@ -63,7 +63,7 @@ _BINDING_ATTRIBUTES = ("primvars:skel:jointIndices", "skel:blendShapeTargets")
 
 
 def unbound_notice(skeleton: Any, file_path: str) -> list[Fault]:
-    """Report prims that stay at rest because SkelBindingAPI is not applied."""
+    """Return a warning if prims stay at rest because they lack SkelBindingAPI."""
     root = UsdSkel.Root.Find(skeleton.GetPrim())
     if not root:
         return []
@@ -194,7 +194,7 @@ MAX_LISTED_PRIMS = 40
 def character_paths(stage: Any) -> list[str]:
     """Return the paths of the root prims of a stage's characters.
 
-    For each Skeleton this is the enclosing component, or the SkelRoot without one.
+    For each Skeleton this is the enclosing component, or else the SkelRoot.
     """
     paths = [_character_root(skeleton.GetPrim()) for skeleton in find_skeletons(stage)]
     return list(dict.fromkeys(paths))

@@ -417,7 +417,7 @@ def _bind_poses(
 def _scale_notice(
     rig: SkeletonRig, bind_scales: FloatArray, file_path: str
 ) -> list[Fault]:
-    """Report joints with a scale in the rest or bind pose, which rigs cannot store."""
+    """Return a warning if rest or bind poses have scales, which rigs cannot store."""
     deviations = np.abs(np.stack([rig.rest_scales, bind_scales]) - 1.0).max(axis=(0, 2))
     names = [rig.rig.names[j] for j in np.flatnonzero(deviations > SCALE_TOLERANCE)]
     if not names:

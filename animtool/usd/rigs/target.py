@@ -166,7 +166,7 @@ def _skeletons_below(stage: Any, path: Path, root_path: str) -> tuple[list[Any],
 
 
 def _unit_notice(stage: Any, rig: Rig, file_path: str) -> list[Fault]:
-    """Report a shot whose units or up axis differ from those of its rig."""
+    """Return a note if the units or up axis of a shot differ from its rig's."""
     unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     is_same_unit = math.isclose(unit, rig.meters_per_unit, rel_tol=1e-6)
     if is_same_unit and up is rig.up:
@@ -180,7 +180,7 @@ def _unit_notice(stage: Any, rig: Rig, file_path: str) -> list[Fault]:
 def _existing_binding_notice(
     stage: Any, paths: RigPaths, file_path: str
 ) -> list[Fault]:
-    """Report a shot that already binds an animation to its rig."""
+    """Return a notice if a shot already binds an animation to its rig."""
     layer = stage.GetRootLayer()
     skeleton = layer.GetPrimAtPath(paths.skeleton)
     if skeleton is not None and skeleton.specifier == Sdf.SpecifierDef:

@@ -29,7 +29,7 @@ MOTION_TOLERANCE = 1e-6
 def animated_mesh_notice(
     skeleton: Any, file_path: str, placement_choice: str | None = None
 ) -> list[Fault]:
-    """Report animated meshes of a character that no joint deforms (USD147).
+    """Return a warning about animated meshes that no joint deforms (USD147).
 
     ``placement_choice``: ``drop`` ignores motion of the character's placement.
     """

@@ -62,7 +62,7 @@ class AnimationMotion:
     clock: Clock
     motion: Motion  # motion of all joints of the Skeleton
     shapes: list[str]  # names of the animated shapes
-    drift: float  # largest distance of samples from their frames [time code]
+    max_time_offset: float  # largest distance of samples from their frames [time code]
     notices: list[Fault]
 
 
@@ -99,7 +99,12 @@ def read_animation(
         attr, width, values = attributes.get(name), rest.shape[1], None
         if attr is not None:
             values = read_samples(
-                attr, codes, len(joint_indices), width, location, drift=grid.drift
+                attr,
+                codes,
+                len(joint_indices),
+                width,
+                location,
+                time_tolerance=grid.max_time_offset,
             )
         return fill_with_rest(rest, values, joint_indices, len(codes))
 
@@ -113,7 +118,7 @@ def read_animation(
     weights = None
     if shapes:
         weights = read_shape_weights(
-            animation, codes, len(shapes), location, grid.drift
+            animation, codes, len(shapes), location, grid.max_time_offset
         )
     motion = Motion(
         Channel.from_dense(translations),
@@ -121,7 +126,7 @@ def read_animation(
         build_scale_channel(scales),
         weights,
     )
-    return AnimationMotion(clock, motion, shapes, grid.drift, notices)
+    return AnimationMotion(clock, motion, shapes, grid.max_time_offset, notices)
 
 
 def _require_attributes(
@@ -190,10 +195,10 @@ def _grid_notices(
     if not grid.is_regular:
         message = f"samples are unevenly spaced; read every {interval}"
         notices.append(location.fault("USD105", message, severity=Severity.NOTE))
-    if grid.drift:
+    if grid.max_time_offset:
         message = (
-            f"samples are up to {grid.drift:.2g} time codes off the frames (at "
-            f"{grid.drift_code:.10g}); read as {counted(grid.count, 'frame')}, "
+            f"samples are up to {grid.max_time_offset:.2g} time codes off the frames "
+            f"(at {grid.offset_code:.10g}); read as {counted(grid.count, 'frame')}, "
             f"one every {interval}"
         )
         notices.append(location.fault("USD121", message, severity=Severity.NOTE))
@@ -209,7 +214,7 @@ def _grid_notices(
 
 
 def find_first_animation(stage: Any, root_path: str) -> Any:
-    """Return the first animation that a layer binds or contains; None without one."""
+    """Return the first animation that a layer binds or contains, or None."""
     root_prim = stage.GetPrimAtPath(root_path)
     # An animation layer alone has only overs above its animation.
     predicate = Usd.PrimAllPrimsPredicate
@@ -227,7 +232,7 @@ def find_first_animation(stage: Any, root_path: str) -> Any:
 
 
 def root_motion_notice(animation: Any, location: PrimLocation) -> list[Fault]:
-    """Report root motion of a layer that is read without its rig."""
+    """Return a warning if a layer that is read without its rig has root motion."""
     parent = animation.GetPrim().GetParent()
     order = parent.GetAttribute("xformOpOrder")
     if not order or not order.HasAuthoredValue():

@@ -30,7 +30,7 @@ def build_scale_channel(scales: FloatArray) -> Channel | None:
 
 
 def animated_shapes(animation: Any) -> list[str]:
-    """Return the blend shapes of an animation with weights; empty without weights."""
+    """Return the blend shapes of an animation; empty if it has no weights."""
     if not animation.GetBlendShapeWeightsAttr().HasAuthoredValue():
         return []
     return [str(token) for token in array_value(animation.GetBlendShapesAttr())]
@@ -41,12 +41,18 @@ def read_shape_weights(
     codes: list[float],
     shape_count: int,
     location: PrimLocation,
-    drift: float = 0.0,
+    time_tolerance: float = 0.0,
 ) -> Channel:
     """Return the blend shape weights of an animation; see `read_samples`."""
     attr = animation.GetBlendShapeWeightsAttr()
     rows = read_samples(
-        attr, codes, shape_count, 1, location, noun="shape", drift=drift
+        attr,
+        codes,
+        shape_count,
+        1,
+        location,
+        noun="shape",
+        time_tolerance=time_tolerance,
     )
     return Channel.from_dense(np.repeat(rows, len(codes) // len(rows), axis=0))
 
@@ -59,16 +65,18 @@ def read_samples(
     location: PrimLocation,
     *,
     noun: str = "joint",
-    drift: float = 0.0,
+    time_tolerance: float = 0.0,
 ) -> FloatArray:
     """Return an attribute at time codes ``(F, N, K)``; F is 1 if it is constant.
 
-    ``drift`` is the largest distance of a sample from its frame [time codes].
+    Samples within ``time_tolerance`` of a frame are its samples [time codes].
     """
     time_codes = [Usd.TimeCode.EarliestTime()]
     if attr.GetNumTimeSamples() > 1:
-        times = attr.GetTimeSamples() if drift else []
-        time_codes = [Usd.TimeCode(c) for c in nearest_samples(times, codes, drift)]
+        times = attr.GetTimeSamples() if time_tolerance else []
+        time_codes = [
+            Usd.TimeCode(c) for c in nearest_samples(times, codes, time_tolerance)
+        ]
     rows = np.empty((len(time_codes), item_count, component_count))
     for i, time in enumerate(time_codes):
         value = number_rows(attr, component_count, time)
@@ -91,14 +99,14 @@ def read_samples(
 
 
 def nearest_samples(
-    times: list[float], codes: list[float], drift: float
+    times: list[float], codes: list[float], time_tolerance: float
 ) -> list[float]:
-    """Return the nearest sample time within ``drift`` of each frame, else the frame's.
+    """Return the sample time nearest to each frame, or the frame's if it is too far.
 
     >>> nearest_samples([1.0, 2.02, 3.5], [1.0, 2.0, 3.0], 0.05)
     [1.0, 2.02, 3.0]
     """
-    if not times or not drift:
+    if not times or not time_tolerance:
         return codes
     sample_times, frame_times = np.array(times), np.array(codes)
     next_index = np.searchsorted(sample_times, frame_times).clip(
@@ -113,7 +121,7 @@ def nearest_samples(
     distances = np.abs(neighbours - frame_times)
     nearest = np.where(distances[0] <= distances[1], neighbours[0], neighbours[1])
     # The tolerance includes rounding of the distance itself.
-    is_near_grid = distances.min(axis=0) <= drift * (1 + 1e-6) + 1e-9
+    is_near_grid = distances.min(axis=0) <= time_tolerance * (1 + 1e-6) + 1e-9
     return list(map(float, np.where(is_near_grid, nearest, frame_times)))
 
 
@@ -159,7 +167,7 @@ MAX_GRID_FRAMES = 100_000
 MIN_FRAME_RATE = 12
 # Samples within this fraction of a step or time code from a frame belong to it, as
 # exporters accumulate rounding errors. Shutter offsets are much larger.
-MAX_FRAME_DRIFT = 0.02
+MAX_TIME_OFFSET = 0.02
 # If samples fit no other grid, those this close to an integer time code are snapped to
 # it [time codes]; samples farther away may be intended.
 MAX_OFF_FRAME = 0.05
@@ -176,8 +184,10 @@ class SampleGrid:
     step: Fraction  # time codes per frame
     count: int  # number of frames
     is_regular: bool  # whether all samples are on consecutive frames
-    drift: float = 0.0  # largest distance of a sample from its frame [time codes]
-    drift_code: float = 0.0  # time code of the sample with the largest drift
+    max_time_offset: float = (
+        0.0  # largest distance of a sample from its frame [time codes]
+    )
+    offset_code: float = 0.0  # time code of the sample with that offset
     between_count: int = 0  # number of samples between frames
 
 
@@ -203,8 +213,8 @@ def fill_with_rest(
 ) -> FloatArray:
     """Return values of all joints ``(F, J, …)``; joints without values are at rest.
 
-    ``joints`` are the rig joints of the rows, -1 if unknown; without rows all are at
-    rest.
+    ``joints`` are the rig joints of the rows, -1 if unknown. If there are no rows, all
+    are at rest.
     """
     all_values = np.repeat(rest[None], frame_count, axis=0)
     if values is not None:
@@ -251,14 +261,17 @@ def _snap_to_standard_rate(grid: SampleGrid, fps: Fraction) -> SampleGrid:
     """
     rate = fps / grid.step
     standard_rate = rate_from_float(float(rate))
-    drift = float(abs(fps / standard_rate - grid.step) * (grid.count - 1))
-    if standard_rate == rate or drift > MAX_FRAME_DRIFT * min(float(grid.step), 1.0):
+    offset = float(abs(fps / standard_rate - grid.step) * (grid.count - 1))
+    if standard_rate == rate or offset > MAX_TIME_OFFSET * min(float(grid.step), 1.0):
         return grid
     last_code = float(grid.start + grid.step * (grid.count - 1))
-    # The rate difference adds most drift to the last sample.
-    drift_code = grid.drift_code if grid.drift > drift else last_code
+    # The rate difference moves the last sample most.
+    offset_code = grid.offset_code if grid.max_time_offset > offset else last_code
     return replace(
-        grid, step=fps / standard_rate, drift=grid.drift + drift, drift_code=drift_code
+        grid,
+        step=fps / standard_rate,
+        max_time_offset=grid.max_time_offset + offset,
+        offset_code=offset_code,
     )
 
 
@@ -272,7 +285,7 @@ def _find_grid(
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
-    grid = _exact_grid(times) or _drifting_grid(times) or _snapped_grid(times)
+    grid = _exact_grid(times) or _fitted_grid(times) or _snapped_grid(times)
     if grid is None:
         return _integer_grid(times, location)
     return _trim_to_authored_start(grid, span)
@@ -292,12 +305,12 @@ def _exact_grid(times: list[float]) -> SampleGrid | None:
     return SampleGrid(exact_times[0], step, count, len(gaps) == 1)
 
 
-def _drifting_grid(times: list[float]) -> SampleGrid | None:
+def _fitted_grid(times: list[float]) -> SampleGrid | None:
     """Return a regular grid close to every sample; None if no such grid exists."""
     codes = np.array(times)
     gaps = np.diff(codes)
-    # Attributes that drift differently have samples of one frame at almost equal times.
-    gaps = gaps[gaps > MAX_FRAME_DRIFT * np.quantile(gaps, 0.75, method="lower")]
+    # Attributes with different offsets have almost equal times for one frame.
+    gaps = gaps[gaps > MAX_TIME_OFFSET * np.quantile(gaps, 0.75, method="lower")]
     median_gap = Fraction(float(np.median(gaps)))
     mean_gap = Fraction(float(gaps.mean()))
     steps = [
@@ -311,7 +324,7 @@ def _drifting_grid(times: list[float]) -> SampleGrid | None:
 def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
     """Return a grid of a given step if its frames are close to all samples, or None."""
     step_length = float(step)
-    tolerance = MAX_FRAME_DRIFT * min(step_length, 1.0)
+    tolerance = MAX_TIME_OFFSET * min(step_length, 1.0)
     is_common = step.denominator <= COMMON_DENOMINATORS[-1]
     denominator = step.denominator if is_common else 1
     start = Fraction(round(codes[0] * denominator), denominator)
@@ -326,8 +339,8 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
         return None
     if count > MAX_GRID_RATIO * len(codes):
         return None
-    drift, drift_code = float(distances[worst_sample]), float(codes[worst_sample])
-    return SampleGrid(start, step, count, bool((gaps <= 1).all()), drift, drift_code)
+    offset, offset_code = float(distances[worst_sample]), float(codes[worst_sample])
+    return SampleGrid(start, step, count, bool((gaps <= 1).all()), offset, offset_code)
 
 
 def _snapped_grid(times: list[float]) -> SampleGrid | None:
@@ -348,8 +361,8 @@ def _snapped_grid(times: list[float]) -> SampleGrid | None:
     worst_sample = int(distances.argmax())
     return replace(
         grid,
-        drift=float(distances[worst_sample]),
-        drift_code=float(codes[worst_sample]),
+        max_time_offset=float(distances[worst_sample]),
+        offset_code=float(codes[worst_sample]),
     )
 
 

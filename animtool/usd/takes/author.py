@@ -53,7 +53,7 @@ from animtool.usd.rigs.skeleton import (
     PLACEMENT_KEY,
     author_rig,
     bind_animation,
-    build_rest_record,
+    build_rest_metadata,
 )
 from animtool.usd.takes.extents import author_extents
 from animtool.usd.takes.joint_writer import AnimationWriter, round_blocks
@@ -188,8 +188,8 @@ def _author_take(
         _author_data(animation, "names", job.names.originals)
     if take.is_reduced:
         _author_data(animation, "reduced", value=True)
-    if take.rest_record:
-        _author_data(animation, PLACEMENT_KEY, take.rest_record)
+    if take.rest_metadata:
+        _author_data(animation, PLACEMENT_KEY, take.rest_metadata)
     return _AuthoredTake(writer, report, take.curves)
 
 
@@ -415,7 +415,7 @@ def _stage_job(
         clock.start,
         clock.step,
         shapes=tuple(shape.name for shape in rig.shapes),
-        rest_record=build_rest_record(rig),
+        rest_metadata=build_rest_metadata(rig),
     )
     return job, usd_take, [replace(notice, path=str(path)) for notice in names.notices]
 

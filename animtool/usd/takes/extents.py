@@ -23,7 +23,7 @@ def shape_bounds(
 
     ``weights`` are the shape weights ``(F, S)``, one array per block.
 
-    Returns None without a mesh with points.
+    Returns None if no mesh has points.
     """
     from pxr import Usd, UsdGeom
 
@@ -125,7 +125,7 @@ def author_extents(
 
 
 def _compose_stage(job: UsdJob, layers: Sequence[Any]) -> Any:
-    """Return a stage of the authored layers over the rig."""
+    """Compose the authored layers over the rig and return the stage."""
     from pxr import Usd
 
     if job.target is not None:

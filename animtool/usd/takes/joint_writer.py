@@ -160,7 +160,7 @@ class AnimationWriter:
     )  # rounding errors so far
     # Time codes of every sample, one array per block.
     codes: list[FloatArray] = field(default_factory=list)
-    # Shape weights ``(F, S)``, one array per block; empty without shapes.
+    # Shape weights ``(F, S)``, one array per block; empty if there are no shapes.
     weights: list[Float32Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:

@@ -110,7 +110,7 @@ def read_usd(
 
 
 def _take_set(stage: Any, root_path: str) -> TakeSet | None:
-    """Return the take set of the first character; None without takes."""
+    """Return the take set of the first character; None if it has none."""
     skeletons = find_skeletons(stage, root_path)
     if skeletons:
         return find_take_set(skeletons[0].GetPrim())
@@ -389,7 +389,7 @@ def _animated_take(
     ancestors = [] if prim is None else animated_ancestors(prim)
     codes = animation_motion.clock.times.tolist()
     ancestor_codes = nearest_samples(
-        sample_times(ancestors), codes, animation_motion.drift
+        sample_times(ancestors), codes, animation_motion.max_time_offset
     )
     rig = skeleton.rig
     placement, notices = _find_placement(

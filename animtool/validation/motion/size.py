@@ -159,11 +159,11 @@ def _root_factor(subject: MotionSubject) -> tuple[int, float] | None:
     if not subject.has_rest or not is_character(subject.take.rig.names):
         return None
     rig = subject.take.rig
-    moving_roots = set(subject.translating_joints.tolist())
+    translating_joints = set(subject.translating_joints.tolist())
     heights = subject.rest_positions @ subject.up_vector
     leg_length = float(heights[hips_of(subject)] - heights[find_feet(rig.names)].min())
     min_height = 0.1 * subject.rest_size
-    for root in sorted({*rig.roots, hips_of(subject)} & moving_roots):
+    for root in sorted({*rig.roots, hips_of(subject)} & translating_joints):
         rest_height = float(heights[root])
         is_resting_at_hips = rest_height < min_height
         if max(rest_height, leg_length) < min_height:

@@ -168,7 +168,10 @@ def _unwrapping_hint(channel: ClipChannel, key: int, unit: float) -> str:
     unit: angle unit of the file [rad].
     """
     first, second = channel.values[key], channel.values[key + 1]
-    candidates = [_unwrapped(first, second), _nearer_angles(channel, first, second)]
+    candidates = [
+        _unwrapped(first, second),
+        _nearby_equivalent_euler(channel, first, second),
+    ]
     nearer_angles = min(
         (angles for angles in candidates if angles is not None),
         key=lambda angles: _value_distance(first, angles),
@@ -230,12 +233,14 @@ def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
         for key, axis in np.argwhere(is_wrap).tolist()
         if _wraps_after(channel, key, axis, float(short_steps[key, axis]), limits)
     ]
-    # Necessary condition of `_nearer_angles`, which is too slow for every key.
+    # Necessary condition of `_nearby_equivalent_euler`, which is slower.
     is_twisted = np.abs(steps[:, ::2]).min(axis=1) > MIN_FAR_ANGLE
     flip_keys = [
         key
         for key in np.flatnonzero(is_interpolated & is_twisted).tolist()
-        if _nearer_angles(channel, channel.values[key], channel.values[key + 1])
+        if _nearby_equivalent_euler(
+            channel, channel.values[key], channel.values[key + 1]
+        )
         is not None
     ]
     return np.unique(np.array([*wrap_keys, *flip_keys], np.int64))
@@ -276,7 +281,7 @@ def _angle_limits(channel: ClipChannel, rig: Rig) -> RangeLimit | None:
     return limits if isinstance(limits, RangeLimit) else None
 
 
-def _nearer_angles(
+def _nearby_equivalent_euler(
     channel: ClipChannel, first: FloatArray, second: FloatArray
 ) -> FloatArray | None:
     """Return the other Euler angles of a rotation if they are near ``first`` [rad].

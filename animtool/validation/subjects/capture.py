@@ -32,7 +32,7 @@ class TakeSubject:
     def fault_at(
         self, code: str, joint: str, frame: float | None, message: str, hint: str
     ) -> Fault:
-        """Return a fault of a joint at a frame; without a joint, of the root."""
+        """Return a fault at a frame, of a joint or by default the root."""
         del frame
         return self.fault(code, joint or self.take.rig.names[0], message, hint)
 

@@ -26,7 +26,7 @@ def open_fbx(path: Path) -> CheckedFile:
     record_input(path)
     scene = open_scene(path)
     checked_file = check_characters(Kind.FBX, scene, build_rig, _take_subjects)
-    checked_file.faults[:0] = scene.file.notes.notices
+    checked_file.faults[:0] = scene.file.diagnostics.notices
     return checked_file
 
 

@@ -48,7 +48,7 @@ def open_gltf(path: Path) -> CheckedFile:
     record_input(path)
     gltf = open_document(path)
     checked_file = check_characters(Kind.GLTF, gltf, build_rig, _clip_subjects)
-    checked_file.faults[:0] = gltf.notes.notices
+    checked_file.faults[:0] = gltf.diagnostics.notices
     return checked_file
 
 
@@ -156,7 +156,7 @@ def _bind_positions(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:
     """Return the bind positions of the joints ``(J, 3)`` [m].
 
     A glTF does not state the mesh's position at bind time: the topmost bound joint is
-    assumed to be at rest. Unbound joints are at rest; None without any bound joint.
+    assumed to be at rest. Unbound joints are at rest; None if no joint is bound.
     """
     joints = sorted({rig.index(name) for skin in skins for name in skin.joints})
     if not joints:

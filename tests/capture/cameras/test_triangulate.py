@@ -357,8 +357,8 @@ def test_the_kernel_checks_its_arguments() -> None:
     cameras = camera_parameters(ring(2).cameras)
     good = {
         "pixels": np.zeros((1, 2, 1, 2)), "confidences": None, "cameras": cameras,
-        "active": np.ones((1, 2), bool), "noise": np.ones(2), "gate": 5.0,
-        "condition": 100.0, "detailed": True,
+        "is_active": np.ones((1, 2), bool), "noise": np.ones(2), "outlier_gate": 5.0,
+        "max_condition": 100.0, "has_details": True,
     }  # fmt: skip
     points, *_, states = _kernels.triangulate_points(**good)
     assert np.isnan(points).all() or states.max() == 1
@@ -368,13 +368,15 @@ def test_the_kernel_checks_its_arguments() -> None:
         ("pixels", np.zeros((1, 3, 1, 2))),
         ("cameras", broken),
         ("cameras", cameras * np.nan),
-        ("active", np.ones((2, 2), bool)),
+        ("is_active", np.ones((2, 2), bool)),
         ("noise", np.zeros(2)),
-        ("gate", -1.0),
-        ("condition", np.nan),
+        ("outlier_gate", -1.0),
+        ("max_condition", np.nan),
         ("confidences", np.zeros((1, 2, 2))),
     ):
-        with pytest.raises(ValueError, match=r"cameras|active|noise|gate|cond|conf"):
+        with pytest.raises(
+            ValueError, match=r"cameras|is_active|noise|outlier_gate|max_cond|conf"
+        ):
             _kernels.triangulate_points(**{**good, name: value})
 
 

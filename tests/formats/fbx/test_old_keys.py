@@ -20,17 +20,17 @@ from animtool.formats.fbx.curves import (
 from animtool.formats.fbx.elements import Element
 from animtool.formats.fbx.old_keys import WEIGHTED_LAYOUT, read_channel_curve
 from animtool.formats.fbx.settings import TICKS_PER_SECOND
-from animtool.formats.file_notices import FileNotices
+from animtool.formats.file_diagnostics import FileDiagnostics
 
 
 def read(keys: list[Any], version: int = 4005) -> tuple[FbxCurve, list[str]]:
     """Return a curve of keys, and the codes of what was said of it."""
     rows = [Element("KeyVer", [version], ""), Element("Key", keys, "line 1")]
-    notes = FileNotices(str(Path("arm.fbx")))
+    diagnostics = FileDiagnostics(str(Path("arm.fbx")))
     element = Element("Channel", ["X"], "", rows)
-    curve = read_channel_curve(element, notes, WEIGHTED_LAYOUT)
+    curve = read_channel_curve(element, diagnostics, WEIGHTED_LAYOUT)
     assert curve is not None
-    return curve, [fault.code for fault in notes.notices]
+    return curve, [fault.code for fault in diagnostics.notices]
 
 
 END = [TICKS_PER_SECOND, 3.0, "L"]

@@ -364,7 +364,7 @@ def test_what_is_harmless_is_put_right_and_said(
     change(document)
     path = tmp_path / "odd.glb"
     path.write_bytes(as_glb(document, binary))
-    faults = open_gltf(path).notes.notices
+    faults = open_gltf(path).diagnostics.notices
     assert (code, where) in {(fault.code, fault.where) for fault in faults}
 
 

@@ -123,7 +123,7 @@ def test_a_strange_file_comes_back(tmp_path: Path, seed: int) -> None:
     before, after = (
         {
             one.code
-            for one in file.gltf.notes.notices
+            for one in file.gltf.diagnostics.notices
             if one.severity is Severity.WARNING
         }
         for file in (whole, again)

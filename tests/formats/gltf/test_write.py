@@ -180,7 +180,7 @@ def test_names_that_were_changed_are_written_back(tmp_path: Path) -> None:
     source = write_small(tmp_path / "two.glb", "skins")
     output = tmp_path / "again.glb"
     convert(source, output, SourceOptions(prim_path="/"))
-    nodes = json.loads(json.dumps(open_gltf(output).root.values["nodes"]))
+    nodes = json.loads(json.dumps(open_gltf(output).json_root.values["nodes"]))
     renamed = [node for node in nodes if "extras" in node]
     assert [node["name"] for node in renamed] == ["hips"]
     assert renamed[0]["extras"]["animtool"]["name"] == "hips_2"

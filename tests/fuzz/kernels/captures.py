@@ -35,11 +35,11 @@ def _triangulate(rng: Rng) -> dict[str, Any]:
         "pixels": _pixels(rng, shape),
         "confidences": rng.random(shape) if rng.integers(2) else None,
         "cameras": _cameras(rng, cameras),
-        "active": rng.random((frames, cameras)) < 0.9,
+        "is_active": rng.random((frames, cameras)) < 0.9,
         "noise": rng.uniform(0.1, 3, cameras),
-        "gate": float(rng.uniform(2, 6)),
-        "condition": float(rng.choice([1e2, 1e6])),
-        "detailed": bool(rng.integers(2)),
+        "outlier_gate": float(rng.uniform(2, 6)),
+        "max_condition": float(rng.choice([1e2, 1e6])),
+        "has_details": bool(rng.integers(2)),
     }
 
 
@@ -74,7 +74,7 @@ def _face(rng: Rng) -> dict[str, Any]:
         "rest": float(rng.choice([0.0, 1e-4, 1.0])),
         "tolerance": 1e-4,
         "max_iterations": int(rng.integers(1, 6)),
-        "warm": bool(rng.integers(2)),
+        "is_warm_start": bool(rng.integers(2)),
     }
 
 

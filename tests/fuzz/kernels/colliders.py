@@ -57,7 +57,7 @@ def _sample(rng: Rng) -> dict[str, Any]:
     return {
         "colliders": colliders(rng),
         "points": rng.normal(size=(rng.integers(0, 9), 3)),
-        "share": float(rng.uniform(0, 1)),
+        "fraction": float(rng.uniform(0, 1)),
         "step": 0.04,
     }
 

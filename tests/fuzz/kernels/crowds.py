@@ -55,8 +55,8 @@ def _travel(rng: Rng) -> dict[str, Any]:
     shape = tuple(rng.integers(1, 12, 2).tolist())
     seeds = rng.integers(0, shape[0] * shape[1], int(rng.integers(0, 4)))
     return {
-        "free": rng.random(shape) < 0.8,
-        "cell": 0.5,
+        "is_free": rng.random(shape) < 0.8,
+        "cell_size": 0.5,
         "seeds": seeds,
         "starts": rng.uniform(0, 1, len(seeds)),
     }
@@ -71,21 +71,21 @@ def _spans(rng: Rng) -> dict[str, Any]:
         return made / np.linalg.norm(made, axis=-1, keepdims=True)
 
     return {
-        "turns": turns(frames, moving),
+        "joint_rotations": turns(frames, moving),
         "parents": np.array(
             [int(rng.integers(-1, j)) if j else -1 for j in range(count)]
         ),
-        "numbers": rng.integers(-1, moving, count),
-        "places": rng.normal(size=(count, 3)),
-        "before": turns(count),
-        "rest": turns(count),
+        "pose_indices": rng.integers(-1, moving, count),
+        "positions": rng.normal(size=(count, 3)),
+        "pre_rotations": turns(count),
+        "rest_rotations": turns(count),
         "feet": rng.integers(0, count, 2),
-        "stands": rng.random((frames, 2)) < 0.5,
-        "begins": rng.integers(0, frames - wide, int(rng.integers(0, 5))),
-        "wide": wide,
-        "near": float(rng.choice([0.01, 10.0])),
-        "standing": float(rng.choice([0.01, 10.0])),
-        "hips": float(rng.choice([0.01, 10.0])),
+        "foot_stands": rng.random((frames, 2)) < 0.5,
+        "span_starts": rng.integers(0, frames - wide, int(rng.integers(0, 5))),
+        "span_width": wide,
+        "max_joint_error": float(rng.choice([0.01, 10.0])),
+        "max_foot_error": float(rng.choice([0.01, 10.0])),
+        "max_root_shift": float(rng.choice([0.01, 10.0])),
     }
 
 

@@ -31,7 +31,7 @@ def _parse(rng: Rng) -> dict[str, Any]:
         "text": (text + ending).encode(),
         "columns": columns,
         "limit": int(rng.integers(1, 9)),
-        "final": bool(rng.integers(2)),
+        "is_final": bool(rng.integers(2)),
     }
 
 
@@ -70,7 +70,7 @@ def _fit(rng: Rng) -> dict[str, Any]:
         "anchors": np.sort(rng.choice(inner, count, replace=False)),
         "low": np.full(width, -limit),
         "high": np.full(width, limit),
-        "straight": rng.integers(0, frames, rng.integers(0, 3)),
+        "straight_frames": rng.integers(0, frames, rng.integers(0, 3)),
     }
 
 
@@ -102,8 +102,8 @@ def _rotations(rng: Rng) -> dict[str, Any]:
         "keys": rotations(rng, keys, curves),
         "kinds": rng.integers(0, 4, keys),
         "at": rng.uniform(times[0], times[-1], frames),
-        "beyond": rng.choice([0.0, -1.0, 2.0], frames),
-        "cycles": rng.choice([0.0, -1.0, 2.0], frames),
+        "times_beyond": rng.choice([0.0, -1.0, 2.0], frames),
+        "cycle_counts": rng.choice([0.0, -1.0, 2.0], frames),
     }
 
 
@@ -117,7 +117,7 @@ def _slerp(rng: Rng) -> dict[str, Any]:
     return {
         "starts": rotations(rng, 1 if rng.integers(2) else rows),
         "ends": rotations(rng, 1 if rng.integers(2) else rows),
-        "shares": rng.uniform(-1, 2, rows),
+        "fractions": rng.uniform(-1, 2, rows),
     }
 
 

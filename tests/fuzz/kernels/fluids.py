@@ -30,7 +30,7 @@ def _steps(rng: Rng) -> dict[str, Any]:
         "density": float(rng.uniform(1, 2000)),
         "viscosity": float(rng.choice([0.0, 1e-3])),
         "tension": float(rng.choice([0.0, 1.0])),
-        "sound": float(rng.uniform(1, 40)),
+        "sound_speed": float(rng.uniform(1, 40)),
         "step": 0.005,
         "substeps": int(rng.integers(1, 5)),
     }

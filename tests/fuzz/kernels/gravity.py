@@ -31,7 +31,7 @@ def _pairs(rng: Rng) -> dict[str, Any]:
     return {
         "points": rng.normal(scale=10.0 ** rng.integers(-1, 4), size=(count, 3)),
         "box": 2 * reach * rng.uniform(1, 3, 3),
-        "reach": reach,
+        "radius": reach,
         "max_pairs": 10**6,
     }
 
@@ -40,7 +40,7 @@ def _forces(rng: Rng) -> dict[str, Any]:
     given = _pairs(rng)
     count, kinds = len(given["points"]), int(rng.integers(1, 4))
     order, starts, partners = _kernels.molecule_pairs(**given)
-    cutoff = 0.9 * given["reach"]
+    cutoff = 0.9 * given["radius"]
     return {
         "points": given["points"],
         "order": order,

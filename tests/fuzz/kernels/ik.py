@@ -190,9 +190,9 @@ def _cheapest(rng: Rng) -> dict[str, Any]:
         "paths": problem.poses(rng, count, length),
         "costs": rng.uniform(0, 1, (count, length)),
         "drifts": rng.normal(scale=0.1, size=(steps, problem.dofs)),
-        "easy": rng.uniform(0, 1, steps),
-        "open": bool(rng.integers(2)),
-        "closed": bool(rng.integers(2)),
+        "free_step": rng.uniform(0, 1, steps),
+        "allows_any_start": bool(rng.integers(2)),
+        "must_end_on_first": bool(rng.integers(2)),
     }
 
 
@@ -302,7 +302,7 @@ def _rig_solve(rng: Rng) -> dict[str, Any]:
         "starts": starts,
         "targets": np.repeat(targets, batch, axis=0),
         "preferred": starts if rng.integers(2) else None,
-        "placed": bool(rng.integers(2)),
+        "returns_joint_poses": bool(rng.integers(2)),
     }
 
 

@@ -130,7 +130,7 @@ def _linear(rng: Rng) -> dict[str, Any]:
         "points": points,
         **_influences(rng, vertices, joints),
         "transforms": rng.normal(size=(frames, joints, 3, 4)),
-        "normalize": bool(rng.integers(2)),
+        "normalizes": bool(rng.integers(2)),
         "out": out,
     }
 
@@ -144,7 +144,7 @@ def _dual(rng: Rng) -> dict[str, Any]:
         "rotations": rotations(rng, frames, joints),
         "translations": rng.normal(size=(frames, joints, 3)),
         "stretches": rng.normal(size=(frames, joints, 3, 3)) if stretched else None,
-        "normalize": bool(rng.integers(2)),
+        "normalizes": bool(rng.integers(2)),
         "out": out,
     }
 

@@ -61,7 +61,7 @@ def _bodies(rng: Rng) -> dict[str, Any]:
             [rng.uniform(0.1, 9, (count, 1)), rng.uniform(0.1, 1, (count, 3))], axis=1
         ),
         "bodies": np.arange(count),
-        "numbers": np.stack(
+        "shape_numbers": np.stack(
             [rng.uniform(0.01, 0.3, count), *rng.uniform(0, 1, (2, count))], axis=1
         ),
         "points": np.concatenate(
@@ -73,7 +73,7 @@ def _bodies(rng: Rng) -> dict[str, Any]:
         "corners": np.concatenate([np.zeros(0, np.int64), *corners]).astype(np.int64),
         "joints": joints,
         "joint_numbers": numbers,
-        "excluded": rng.integers(0, count, (int(rng.integers(0, 3)), 2)),
+        "excluded_pairs": rng.integers(0, count, (int(rng.integers(0, 3)), 2)),
     }
 
 

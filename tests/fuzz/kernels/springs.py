@@ -124,11 +124,11 @@ def _cells(rng: Rng, cloth: Cloth) -> dict[str, Any]:
     return {
         "network": cloth.network(),
         "state": cloth.state(rng),
-        "torn": cloth.torn(rng),
+        "is_torn": cloth.torn(rng),
         "origin": float(rng.choice([0.0, -0.1])),
-        "first": int(rng.integers(3)),
-        "cell": 1 / 240,
-        "cells": cells,
+        "first_interval": int(rng.integers(3)),
+        "interval_duration": 1 / 240,
+        "interval_count": cells,
         "substeps": int(rng.integers(1, _SOME)),
         "colliders": _met(rng, cells, len(cloth.points), surfaces=True),
     }
@@ -150,10 +150,10 @@ def _layers(rng: Rng) -> dict[str, Any]:
     cloth = Cloth(rng)
     return {
         "network": cloth.network(),
-        "rest": cloth.points,
+        "rest_positions": cloth.points,
         "thickness": 0.05,
         "friction": 0.2,
-        "speed": 0.2,
+        "separation_speed": 0.2,
     }
 
 
@@ -197,7 +197,7 @@ def _accelerations(rng: Rng) -> dict[str, Any]:
         "t": float(rng.uniform(-0.1, 0.2)),
         "h": 1e-6,
         "state": cloth.state(rng),
-        "torn": cloth.torn(rng),
+        "is_torn": cloth.torn(rng),
     }
 
 
@@ -218,11 +218,11 @@ def _project(rng: Rng) -> dict[str, Any]:
     if layers is not None and len(cloth.arguments["triangles"]):
         crossed = np.array([[0, 0, 1], [len(cloth.points), 1, -1]])
     steps = {
-        "calm": 0,
+        "low_strain_count": 0,
         "min_substeps": 1,
         "max_substeps": 16,
-        "stretch": 0.01,
-        "crossed": crossed,
+        "repeat_strain": 0.01,
+        "initial_intersections": crossed,
     }
     return {**made, **steps}
 
@@ -230,7 +230,11 @@ def _project(rng: Rng) -> dict[str, Any]:
 def _solve(rng: Rng) -> dict[str, Any]:
     cloth = Cloth(rng)
     before = cloth.state(rng) if rng.integers(2) else None
-    others = {"before": before, "two_steps": bool(rng.integers(2)), "tolerance": 1e-6}
+    others = {
+        "earlier_state": before,
+        "uses_bdf2": bool(rng.integers(2)),
+        "tolerance": 1e-6,
+    }
     return {**_cells(rng, cloth), "substeps": int(rng.integers(1, 3)), **others}
 
 
@@ -258,10 +262,10 @@ def _follow(rng: Rng) -> dict[str, Any]:
         "strands": _kernels.SpringStrands(**made),
         "targets": points + ways,
         "state": np.stack([points, rng.normal(size=points.shape)]),
-        "span": 1 / 24,
+        "frame_duration": 1 / 24,
         "substeps": int(rng.integers(1, _SOME)),
         "colliders": _met(rng, cells, len(points), surfaces=False),
-        "threads": int(rng.integers(1, 3)),
+        "thread_count": int(rng.integers(1, 3)),
     }
 
 

@@ -260,7 +260,7 @@ ROPE = {
 SPRINGS = {
     "a state before of another shape": (
         {"state/before": np.zeros((2, 3, 3))},
-        "before",
+        "earlier_state",
     ),
     "no step": ({"state/substeps": np.array(0)}, "substeps"),
     "steps beyond bounds": ({"state/substeps": np.array(2**60)}, "out of bounds"),
@@ -310,3 +310,40 @@ def test_a_state_whose_attitudes_are_no_rotations_is_refused(
         open_systems(Simulator(tmp_path).scene(resumed).systems, 0.5)
     assert str(error.value.faults[0].where).endswith("rigid.resume")
     assert path.name in error.value.faults[0].message
+
+
+BALL = {"name": "b", "shape": {"sphere": {"radius": 1}}}
+GALAXY = {"name": "g", "disc": {"count": 9, "mass": 1, "radius": 1}}
+
+
+@pytest.mark.parametrize(
+    ("system", "names"),
+    [
+        (
+            {"rigid": {"name": "s", "bodies": [BALL]}},
+            {"state/follows", "state/swinging"},
+        ),
+        (
+            {"nbody": {"name": "s", "galaxies": [GALAXY]}},
+            {
+                "state/pulls.accelerations",
+                "state/pulls.potentials",
+                "state/pulls.rates",
+            },
+        ),
+    ],
+)
+def test_renamed_fields_keep_their_names_in_files(
+    tmp_path: Path, system: dict[str, Any], names: set[str]
+) -> None:
+    (spec,) = Simulator(tmp_path).scene([system]).systems
+    (opened_system,) = open_systems([spec], 0.5)
+    opened_system.at(0.25)
+    reached = state_clock(spec, opened_system.run), opened_system.run.state
+    write_states(tmp_path / "half.npz", {"": reached})
+    with np.load(tmp_path / "half.npz") as saved:
+        assert names < set(saved)
+    ((kind, keys),) = system.items()
+    resumed = [{kind: {**keys, "resume": "half.npz"}}]
+    (again,) = open_systems(Simulator(tmp_path).scene(resumed).systems, 0.5)
+    assert again.run.state.step_count == reached[1].step_count

@@ -227,11 +227,11 @@ def test_steps_grow_by_the_stability_polynomial(
     assume(abs(1 - h * rate / 2) > 0.05)
     system = turning(rate)
     for integrator in STEPPED:
-        if not (integrator.growth or integrator.name in RATES):
+        if not (integrator.stability_polynomial or integrator.name in RATES):
             continue
         grown = (
-            np.polynomial.polynomial.polyval(h * rate, integrator.growth)
-            if integrator.growth
+            np.polynomial.polynomial.polyval(h * rate, integrator.stability_polynomial)
+            if integrator.stability_polynomial
             else RATES[integrator.name](h * rate)
         )
         found = stepped(integrator, system, h, 1)

@@ -55,20 +55,20 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
     made = nbody(X, 0 * X, MASSES, 2.0, softening, 0.01)
     state = made.initial()
     reach = (4 + softening**2) ** 1.5
-    assert state.pulls.rates.max() == pytest.approx(2 * 5 / reach)
-    mass, said = made._fastest_pair(X, state.pulls.rates)
+    assert state.gravity.rates.max() == pytest.approx(2 * 5 / reach)
+    mass, said = made._fastest_pair(X, state.gravity.rates)
     assert (mass, said) == (5.0, "bodies 1 and 2 are 2 m apart")
-    assert made.suspected_cause(X, state.pulls) == said
+    assert made.suspected_cause(X, state.gravity) == said
     found = made._fastest_pair(X, np.array([0.0, 0, 0, 9.0]))
     assert found == (1.5, "bodies 0 and 3 are 9 m apart")
     alone = MutualGravity(np.zeros((1, 3)), np.zeros(1), np.zeros(1))
     assert made.suspected_cause(X[:1], alone) == ""
-    assert_allclose(state.pulls.accelerations, pulls(X, MASSES, 2.0, softening))
+    assert_allclose(state.gravity.accelerations, pulls(X, MASSES, 2.0, softening))
     assert_allclose(made._direct_sum(X, X[1]), pulls(X, MASSES, 2.0, softening)[1])
-    assert made._force_error(X, state.pulls) < 1e-14
-    off = state.pulls.accelerations.copy()
+    assert made._force_error(X, state.gravity) < 1e-14
+    off = state.gravity.accelerations.copy()
     off[3] *= 1.5
-    wrong = MutualGravity(off, state.pulls.potentials, state.pulls.rates)
+    wrong = MutualGravity(off, state.gravity.potentials, state.gravity.rates)
     # 16 of them are looked at, from the first to the last; the last is there once.
     rows = np.linspace(0, 3, 16).astype(int)
     share = (rows == 3).mean()
@@ -79,7 +79,7 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
 def test_who_stops_two_that_are_too_close_says_what_follows_them() -> None:
     """Softened by 5 % more than what 64 parts of a step of 0.02 s go through."""
     made = nbody(X, 0 * X, MASSES, 2.0, 0.0, 0.02, substeps=64)
-    stopped = made._encounter_error(0.02, 1.5, X, made.initial().pulls.rates)
+    stopped = made._encounter_error(0.02, 1.5, X, made.initial().gravity.rates)
     (fault,) = stopped.faults
     assert fault.code == "SIM110"
     assert fault.message.startswith("bodies 1 and 2 are 2 m apart at 1.5 s")
@@ -107,7 +107,7 @@ def test_within_a_step_a_pair_may_turn_half_as_much_again(
     made = nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01)
     begun, limits = made.initial(), []
     turned = np.full(4, (0.9 * parts * 0.15 / 0.01) ** 2)
-    state = replace(begun, pulls=replace(begun.pulls, rates=turned))
+    state = replace(begun, gravity=replace(begun.gravity, rates=turned))
     system = made._system
 
     def seen(state: Any, check: Any) -> Any:

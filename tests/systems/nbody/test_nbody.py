@@ -135,8 +135,8 @@ def test_rates_below_0_of_a_state_divide_no_step(simulator: Simulator) -> None:
     whole.at(0.1)
     middle = whole.state
     end = whole.at(0.2)
-    pulls = replace(middle.state.pulls, rates=-middle.state.pulls.rates)
-    spoiled = replace(middle, state=replace(middle.state, pulls=pulls))
+    pulls = replace(middle.state.gravity, rates=-middle.state.gravity.rates)
+    spoiled = replace(middle, state=replace(middle.state, gravity=pulls))
     again = SimulationRun("it", whole.simulation, 0.0, whole.step_length, spoiled)
     assert_array_equal(again.at(0.2).points, end.points)
 
@@ -391,7 +391,7 @@ def test_a_step_that_ends_where_two_are_close_is_done_again_in_parts() -> None:
     v = np.array([[-10.0, 0, 0], [10, 0, 0]])
     made = nbody(x, v, np.array([0.015, 0.005]), 1.0, 0.0, 0.1)
     state = made.initial()
-    assert made._required_substeps(state.pulls.rates, 0.1) == 1
+    assert made._required_substeps(state.gravity.rates, 0.1) == 1
     after = made.step(state, 0.0, 0.1)
     assert (after.encounters, after.divided) == (1, 4)
     assert np.linalg.norm(np.subtract(*after.motion[0])) == pytest.approx(0.2, rel=0.01)

@@ -217,7 +217,7 @@ def test_pushes_of_others_are_felt_by_mass_and_inertia(tmp_path: Path) -> None:
     back = simulation.push_to(state, after)
     np.testing.assert_allclose(back.impulses, now, atol=1e-9)
     # A turn of a hundredth is less than a millionth off what is added to it.
-    np.testing.assert_allclose(back.delayed_impulses, moved, atol=1e-6)
+    np.testing.assert_allclose(back.time_weighted_impulses, moved, atol=1e-6)
     masses = simulation.bodies.masses[:, None]
     gained = masses * (after.motion[:, 7:10] - state.motion[:, 7:10])
     np.testing.assert_allclose(gained, now[:, :3], atol=1e-12)

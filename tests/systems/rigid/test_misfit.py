@@ -26,7 +26,11 @@ def incompatibility(**changes: Any) -> str:
     """Return why a state of two bodies with a joint does not fit."""
     motion = np.zeros((2, 14))
     motion[:, 6] = 1.0
-    whole = {"motion": motion, "swinging": -1, "deepest_pairs": np.full((2, 2), -1)}
+    whole = {
+        "motion": motion,
+        "fastest_drive_joint": -1,
+        "deepest_pairs": np.full((2, 2), -1),
+    }
     bodies = SimpleNamespace(names=["a", "b"], joints=["hinge"])
     bodies._shape_names = lambda: bodies.names
     state = cast(Any, SimpleNamespace(**whole | changes))
@@ -35,7 +39,7 @@ def incompatibility(**changes: Any) -> str:
 
 @pytest.mark.parametrize(
     ("changes", "fits"),
-    [({"swinging": 0}, True), ({"swinging": 1}, False),
+    [({"fastest_drive_joint": 0}, True), ({"fastest_drive_joint": 1}, False),
      ({"deepest_pairs": np.array([[0, 1], [-1, -1]])}, True),
      ({"deepest_pairs": np.array([[0, 2], [-1, -1]])}, False),
      ({"deepest_pairs": np.array([[0, -2], [-1, -1]])}, False)],

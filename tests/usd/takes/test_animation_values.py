@@ -51,7 +51,7 @@ def test_drift_and_jitter_far_below_a_frame_keep_the_count(
     times = start + np.arange(count) * float(step) * (1 + drift) + jitter
     found = grid(times.tolist())
     assert (found.start, found.step, found.count) == (start, step, count)
-    assert found.drift < 0.02 * float(step)
+    assert found.max_time_offset < 0.02 * float(step)
 
 
 def test_a_step_of_a_slightly_other_rate_is_kept() -> None:
@@ -88,20 +88,20 @@ def test_sub_frame_steps_of_broadcast_rates_are_exact(step: str, start: int) -> 
     codes = time_codes(Fraction(start), Fraction(step), 60).tolist()
     found = grid(codes)
     assert (found.start, found.step, found.count) == (start, Fraction(step), 60)
-    assert (found.is_regular, found.drift) == (True, 0.0)
+    assert (found.is_regular, found.max_time_offset) == (True, 0.0)
     # One is missing, and samples are where they were.
     assert grid(codes[:7] + codes[8:]).step == Fraction(step)
 
 
 def test_samples_on_even_parts_of_frames_are_no_drift() -> None:
     found = grid([1 + i / 5 for i in range(41)])
-    assert (found.step, found.count, found.drift) == (Fraction(1, 5), 41, 0.0)
+    assert (found.step, found.count, found.max_time_offset) == (Fraction(1, 5), 41, 0.0)
 
 
 def test_a_few_samples_astray_are_those_of_their_frames() -> None:
     found = grid([1.0, 2.04, 3.0, 3.96, 5.0, 6.0])
     assert (found.start, found.step, found.count) == (1, 1, 6)
-    assert found.drift == pytest.approx(0.04)
+    assert found.max_time_offset == pytest.approx(0.04)
     # Two of one frame, and one that is meant where it is.
     assert grid([1.0, 1.97, 2.04, 3.0, 4.0]).between_count == 2
     assert grid([1.0, 2.06, 3.0, 4.0, 5.0]).between_count == 1

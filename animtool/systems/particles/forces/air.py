@@ -8,7 +8,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.systems.particles.forces.base import (
     Force,
-    NotNegative,
+    NonNegative,
     Positive,
     Time,
     Vector,
@@ -21,8 +21,8 @@ from animtool.systems.particles.state import ParticleState
 class Drag(Force):
     """Drag against the velocity, linear and quadratic."""
 
-    linear: NotNegative = 0.0  # [kg/s]
-    quadratic: NotNegative = 0.0  # density · area · coefficient / 2 [kg/m]
+    linear: NonNegative = 0.0  # [kg/s]
+    quadratic: NonNegative = 0.0  # density · area · coefficient / 2 [kg/m]
 
     is_dissipative = True
 
@@ -54,7 +54,7 @@ class Drag(Force):
 class Viscosity(Force):
     """Stokes drag of small, slow spheres: ``6 π η r v``."""
 
-    viscosity: NotNegative = 1e-3  # of the medium [Pa s]; water 1e-3, air 1.8e-5
+    viscosity: NonNegative = 1e-3  # of the medium [Pa s]; water 1e-3, air 1.8e-5
 
     is_dissipative = True
 
@@ -81,7 +81,7 @@ class Wind(Force):
     """Drag relative to moving air."""
 
     velocity: Vector = (0.0, 0.0, 0.0)  # of the air [m/s]
-    drag: NotNegative = 0.0  # drag coefficient [kg/s]
+    drag: NonNegative = 0.0  # drag coefficient [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -108,7 +108,7 @@ class Friction(Force):
     Friction on surfaces is an option of colliders.
     """
 
-    deceleration: NotNegative = 0.0  # [m/s²]
+    deceleration: NonNegative = 0.0  # [m/s²]
     # Below this speed it fades to 0, so that it never reverses the motion [m/s].
     smooth: Positive = 0.01
 

@@ -17,7 +17,7 @@ _VECTOR = Range("three finite numbers", "SIM022", -math.inf, finite=True, count=
 Vector: TypeAlias = Annotated[tuple[float, float, float], _VECTOR]
 AnyVector: TypeAlias = Annotated[tuple[float, float, float] | None, _VECTOR]
 Finite: TypeAlias = Annotated[float, Range("finite", "SIM022", -math.inf, finite=True)]
-NotNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
+NonNegative: TypeAlias = Annotated[float, at_least(0.0, "SIM022", finite=True)]
 Positive: TypeAlias = Annotated[
     float, Range("above 0", "SIM022", 0.0, includes_minimum=False, finite=True)
 ]
@@ -81,7 +81,7 @@ class Force(ABC):
         return by_position, by_velocity
 
     def potential(self, x: FloatArray, particles: ParticleState) -> FloatArray | None:
-        """Return potential energies ``(N,)`` [J]; None without a potential."""
+        """Return potential energies ``(N,)`` [J]; None if it has no potential."""
         return np.zeros(len(x)) if self.is_dissipative else None
 
     def stiffness(self) -> float:

@@ -18,7 +18,7 @@ from animtool.core.options import at_least
 from animtool.core.record import dataclass
 from animtool.systems.particles.forces.base import (
     Force,
-    NotNegative,
+    NonNegative,
     Positive,
     Time,
     Vector,
@@ -55,9 +55,9 @@ class Field(Expressions, Force):
 class Turbulence(Force):
     """Divergence-free noise accelerations, zero on average."""
 
-    strength: NotNegative = 1.0  # about the root mean square [m/s²]
+    strength: NonNegative = 1.0  # about the root mean square [m/s²]
     size: Positive = 1.0  # of the largest eddies [m]
-    change: NotNegative = 0.5  # rate of change [1/s]
+    change: NonNegative = 0.5  # rate of change [1/s]
     # Octaves: each half the size and strength of the previous.
     octaves: Annotated[int, at_least(1, "SIM022", finite=True)] = 2
     seed: int = 0  # random seed
@@ -116,7 +116,7 @@ _BLOCK_SIZE = 256
 class Charges(Force):
     """Coulomb forces between all particles, softened at short range."""
 
-    constant: NotNegative = 8.9875517862e9  # Coulomb constant [N m²/C²]
+    constant: NonNegative = 8.9875517862e9  # Coulomb constant [N m²/C²]
     softening: Positive = 0.01  # softening length [m]
 
     is_pair_force = True

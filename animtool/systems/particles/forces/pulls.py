@@ -14,7 +14,7 @@ from animtool.systems.particles.forces.base import (
     AnyVector,
     Finite,
     Force,
-    NotNegative,
+    NonNegative,
     Time,
     Vector,
     unit_vectors,
@@ -70,7 +70,7 @@ class Central(Force):
     centre: Vector = (0.0, 0.0, 0.0)  # [m]
     strength: Finite = 1.0  # acceleration at one metre [m/s²]; negative repels
     power: Finite = -2.0  # exponent of the distance: -2 for gravity and charges
-    softening: NotNegative = 0.01  # softening length [m]
+    softening: NonNegative = 0.01  # softening length [m]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState
@@ -107,9 +107,9 @@ class Spring(Force):
     """A spring to a point, or to each particle's birth position."""
 
     anchor: AnyVector = None  # the point [m]; None for each particle's birth position
-    k: NotNegative = 1.0  # stiffness [N/m]
-    rest: NotNegative = 0.0  # rest length [m]
-    kd: NotNegative = 0.0  # damping along the spring [kg/s]
+    k: NonNegative = 1.0  # stiffness [N/m]
+    rest: NonNegative = 0.0  # rest length [m]
+    kd: NonNegative = 0.0  # damping along the spring [kg/s]
 
     def force(
         self, t: Time, x: FloatArray, v: FloatArray, particles: ParticleState

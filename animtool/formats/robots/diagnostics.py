@@ -20,7 +20,7 @@ _NUMBER_PATTERN = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
 @dataclass(slots=True, eq=False)
-class XmlNotes:
+class XmlDiagnostics:
     """Faults and notices of a robot's file, collected while it is read."""
 
     path: Path  # path of the file
@@ -41,7 +41,7 @@ class XmlNotes:
         joint: str | None = None,
         severity: Severity = Severity.ERROR,
     ) -> None:
-        """Record a fault at an element; None is the file."""
+        """Record a fault at an element, or at the file if that is None."""
         path = str(self.path if element is None else element.path)
         lines = () if element is None else (element.line,)
         column = None if element is None else element.column

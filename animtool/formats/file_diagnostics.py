@@ -13,7 +13,7 @@ MAX_WARNINGS = 20
 
 
 @dataclass(slots=True)
-class FileNotices:
+class FileDiagnostics:
     """Warnings and notes gathered while a file is read."""
 
     path: str

@@ -1,5 +1,5 @@
 // Untangling of self-intersecting surfaces.
-#include "springs/tangles.h"
+#include "springs/intersections.h"
 
 #include <algorithm>
 #include <cmath>
@@ -13,7 +13,7 @@ using collide::load;
 using collide::store;
 using collide::Vec;
 
-double find_piercing(const shapes::Segment& edge, const shapes::Triangle& t) {
+double find_intersection(const shapes::Segment& edge, const shapes::Triangle& t) {
   const Vec normal = cross(t.b - t.a, t.c - t.a);
   const double start_height = dot(edge.a - t.a, normal), end_height = dot(edge.b - t.a, normal);
   if (!(start_height * end_height < 0)) return -1;
@@ -25,11 +25,11 @@ double find_piercing(const shapes::Segment& edge, const shapes::Triangle& t) {
   return is_left(t.a, t.b) && is_left(t.b, t.c) && is_left(t.c, t.a) ? fraction : -1;
 }
 
-std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
-                                         const std::vector<std::int32_t>& ends,
-                                         const std::vector<std::int32_t>& corners) {
+std::vector<EdgeIntersection> find_intersections(const std::vector<double>& x,
+                                                 const std::vector<std::int32_t>& ends,
+                                                 const std::vector<std::int32_t>& corners) {
   const std::size_t edge_count = ends.size() / 2;
-  std::vector<EdgePiercing> piercings;
+  std::vector<EdgeIntersection> intersections;
   std::vector<double> midpoints(PARTICLE_STRIDE * edge_count);
   double max_length = 0, length_sum = 0;
   const auto segment = [&](std::size_t e) { return shapes::Segment(&ends[2 * e], x.data()); };
@@ -38,7 +38,7 @@ std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
     const double edge_length = length(segment(e).vector());
     max_length = std::max(max_length, edge_length), length_sum += edge_length;
   }
-  if (!(length_sum > 0)) return piercings;
+  if (!(length_sum > 0)) return intersections;
   PointGrid grid;
   grid.build(midpoints.data(), edge_count, length_sum / static_cast<double>(edge_count));
   for (std::size_t t = 0; t < corners.size(); t += 3) {
@@ -55,18 +55,19 @@ std::vector<EdgePiercing> find_piercings(const std::vector<double>& x,
       const std::int32_t* edge_ends = &ends[2 * static_cast<std::size_t>(e)];
       for (std::size_t k = t; k < t + 3; ++k)
         if (corners[k] == edge_ends[0] || corners[k] == edge_ends[1]) return;
-      if (find_piercing(segment(static_cast<std::size_t>(e)), triangle) >= 0)
-        piercings.push_back({e, static_cast<std::int32_t>(t / 3)});
+      if (find_intersection(segment(static_cast<std::size_t>(e)), triangle) >= 0)
+        intersections.push_back({e, static_cast<std::int32_t>(t / 3)});
     });
   }
-  return piercings;
+  return intersections;
 }
 
-Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_masses)
+IntersectionResolver::IntersectionResolver(const SpringLayers& layers,
+                                           const std::vector<double>& inverse_masses)
     : layers_(layers),
       inverse_masses_(inverse_masses),
       opposite_corners_(layers.edge_count(), {-1, -1}),
-      is_tangled_(layers.particle_count(), 0) {
+      is_intersecting_(layers.particle_count(), 0) {
   for (std::size_t e = 0; e < layers.edge_count(); ++e)
     ends_.insert(ends_.end(), layers.ends(e), layers.ends(e) + 2);
   for (std::size_t t = 0; t < layers.triangle_count(); ++t)
@@ -88,22 +89,22 @@ Tangles::Tangles(const SpringLayers& layers, const std::vector<double>& inverse_
     }
 }
 
-void Tangles::find(const std::vector<double>& x) {
-  if (has_piercings()) std::fill(is_tangled_.begin(), is_tangled_.end(), 0);
-  piercings_ = find_piercings(x, ends_, triangles_);
-  for (const EdgePiercing& piercing : piercings_) {
-    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(piercing.edge));
-    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(piercing.triangle));
-    for (std::size_t k = 0; k < 2; ++k) is_tangled_[static_cast<std::size_t>(ends[k])] = 1;
-    for (std::size_t k = 0; k < 3; ++k) is_tangled_[static_cast<std::size_t>(corners[k])] = 1;
+void IntersectionResolver::find(const std::vector<double>& x) {
+  if (has_intersections()) std::fill(is_intersecting_.begin(), is_intersecting_.end(), 0);
+  intersections_ = find_intersections(x, ends_, triangles_);
+  for (const EdgeIntersection& intersection : intersections_) {
+    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(intersection.edge));
+    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(intersection.triangle));
+    for (std::size_t k = 0; k < 2; ++k) is_intersecting_[static_cast<std::size_t>(ends[k])] = 1;
+    for (std::size_t k = 0; k < 3; ++k) is_intersecting_[static_cast<std::size_t>(corners[k])] = 1;
   }
 }
 
-Vec Tangles::shortening_direction(const EdgePiercing& piercing,
-                                  const std::vector<double>& x) const {
-  const auto e = static_cast<std::size_t>(piercing.edge);
+Vec IntersectionResolver::shortening_direction(const EdgeIntersection& intersection,
+                                               const std::vector<double>& x) const {
+  const auto e = static_cast<std::size_t>(intersection.edge);
   const shapes::Segment edge(layers_.ends(e), x.data());
-  const shapes::Triangle triangle(layers_.corners(static_cast<std::size_t>(piercing.triangle)),
+  const shapes::Triangle triangle(layers_.corners(static_cast<std::size_t>(intersection.triangle)),
                                   x.data());
   const Vec normal = triangle.normal(), edge_direction = collide::direction(edge.vector(), Vec{});
   const double normal_component = dot(edge_direction, normal);
@@ -114,22 +115,23 @@ Vec Tangles::shortening_direction(const EdgePiercing& piercing,
     const Vec inward = offset - edge_direction * dot(offset, edge_direction);
     Vec contour_direction = collide::direction(cross(cross(edge_direction, inward), normal), Vec{});
     if (dot(contour_direction, inward) < 0) contour_direction = -contour_direction;
-    // The piercing point slides along the edge, so that it stays in the plane of the triangle.
+    // The intersection point slides along the edge, so that it stays in the plane of the triangle.
     direction_sum = direction_sum + contour_direction -
                     normal * (dot(contour_direction, edge_direction) / normal_component);
   }
   return collide::direction(direction_sum, Vec{});
 }
 
-void Tangles::untangle(double distance, std::vector<double>& before, std::vector<double>& x) const {
-  for (const EdgePiercing& piercing : piercings_) {
-    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(piercing.edge));
-    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(piercing.triangle));
+void IntersectionResolver::resolve(double distance, std::vector<double>& before,
+                                   std::vector<double>& x) const {
+  for (const EdgeIntersection& intersection : intersections_) {
+    const std::int32_t* ends = layers_.ends(static_cast<std::size_t>(intersection.edge));
+    const std::int32_t* corners = layers_.corners(static_cast<std::size_t>(intersection.triangle));
     const shapes::Segment edge(ends, x.data());
     const shapes::Triangle triangle(corners, x.data());
-    const double fraction = find_piercing(edge, triangle);
+    const double fraction = find_intersection(edge, triangle);
     if (fraction < 0) continue;
-    const Vec direction = shortening_direction(piercing, x);
+    const Vec direction = shortening_direction(intersection, x);
     if (!(dot(direction, direction) > 0)) continue;
     const shapes::Nearest nearest = triangle.nearest(edge.point_at(fraction));
     const std::int32_t particles[5] = {ends[0], ends[1], corners[0], corners[1], corners[2]};
