@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, replace
 from typing import Any, TypeAlias
 
@@ -236,3 +236,14 @@ class Motion:
 
 # Returns a take's motion at times ``(F,)`` [time codes], in any order.
 MotionCurve: TypeAlias = Callable[[FloatArray], Motion]
+
+# Time codes ``(F,)`` and motion of consecutive blocks.
+TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]
+
+
+def split_blocks(blocks: TimedBlocks, max_frames: int) -> TimedBlocks:
+    """Yield blocks of at most a number of frames."""
+    for codes, motion in blocks:
+        for first in range(0, len(codes), max_frames):
+            frames = slice(first, first + max_frames)
+            yield codes[frames], motion.select(frames)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError
+from animtool.core.names import unused_name
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
 from animtool.rig.parts import (
@@ -250,10 +251,7 @@ class _ArrayStore:
             values = source.load()
         except ValueError as error:
             raise FormatError(Fault("RIG018", str(error))) from error
-        key = identifier = re.sub(r"\W", "_", name)
-        number = 2
-        while key in self.arrays:
-            key, number = f"{identifier}_{number}", number + 1
+        key = unused_name(re.sub(r"\W", "_", name), self.arrays)
         self.arrays[key] = _to_32_bits(values, is_integer=is_integer)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 

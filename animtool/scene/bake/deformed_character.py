@@ -15,11 +15,11 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
 from animtool.maths import so3
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Motion, TimedBlocks, split_blocks
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
-from animtool.scene.bake.frames import TakePlan, TimedBlocks
+from animtool.scene.bake.frames import TakePlan
 from animtool.scene.sources.open import is_usd
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
 
@@ -125,7 +125,7 @@ def motion_chunks(
     With ``has_neighbours``, chunks include the frames before and after these.
     """
     previous_frame: tuple[FloatArray, Motion] | None = None
-    chunk_iterator = _split_blocks(blocks)
+    chunk_iterator = split_blocks(blocks, CHUNK_FRAMES)
     chunk = next(chunk_iterator, None)
     while chunk is not None:
         next_chunk = next(chunk_iterator, None)
@@ -142,10 +142,3 @@ def motion_chunks(
         yield codes, motion, slice(lead_count, lead_count + len(chunk[0]))
         previous_frame = chunk[0][-1:], chunk[1].select(slice(-1, None))
         chunk = next_chunk
-
-
-def _split_blocks(blocks: TimedBlocks) -> TimedBlocks:
-    for codes, motion in blocks:
-        for begin in range(0, len(codes), CHUNK_FRAMES):
-            frame_slice = slice(begin, begin + CHUNK_FRAMES)
-            yield codes[frame_slice], motion.select(frame_slice)

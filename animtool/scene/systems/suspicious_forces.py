@@ -155,6 +155,16 @@ def _forces(
             yield (*location, "forces", i, name), name, options or {}
 
 
+def _force_vectors(
+    entry_path: Location, values: _EntryValues, name: str, option: str
+) -> Iterator[tuple[Location, Sequence[float]]]:
+    """Yield a vector of each force of a name, with its location."""
+    for location, force_name, options in _forces(entry_path, values):
+        vector = _vector(options.get(option))
+        if force_name == name and vector is not None:
+            yield (*location, option), vector
+
+
 def _gravities(
     entry_path: Location, values: _EntryValues
 ) -> Iterator[tuple[Location, Sequence[float]]]:
@@ -162,10 +172,7 @@ def _gravities(
     gravity = _vector(values.get("gravity"))
     if gravity is not None:
         yield (*entry_path, "gravity"), gravity
-    for location, name, options in _forces(entry_path, values):
-        acceleration = _vector(options.get("acceleration"))
-        if name == "gravity" and acceleration is not None:
-            yield (*location, "acceleration"), acceleration
+    yield from _force_vectors(entry_path, values, "gravity", "acceleration")
 
 
 def _winds(
@@ -180,10 +187,7 @@ def _winds(
             yield (*entry_path, "wind", "velocity"), velocity
         for i, row in enumerate(wind.get("gusts") or ()):
             yield (*entry_path, "wind", "gusts", i), row[1:]
-    for location, name, options in _forces(entry_path, values):
-        velocity = _vector(options.get("velocity"))
-        if name == "wind" and velocity is not None:
-            yield (*location, "velocity"), velocity
+    yield from _force_vectors(entry_path, values, "wind", "velocity")
 
 
 def _speeds(
