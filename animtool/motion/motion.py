@@ -63,6 +63,18 @@ class Channel:
             values[:, is_moving] = self.values[:, columns[joints[is_moving]]]
         return values
 
+    def reorder(self, indices: IntArray, rest_values: FloatArray) -> Channel:
+        """Return the channel with the joints of indices; -1 gives the rest value."""
+        is_mapped = indices >= 0
+        rest = np.array(rest_values, np.float64)
+        rest[is_mapped] = self.rest[indices[is_mapped]]
+        column_by_joint = np.full(len(self.rest), -1)
+        column_by_joint[self.animated] = np.arange(len(self.animated))
+        columns = np.full(len(indices), -1)
+        columns[is_mapped] = column_by_joint[indices[is_mapped]]
+        animated_joints = np.flatnonzero(columns >= 0)
+        return Channel(rest, animated_joints, self.values[:, columns[animated_joints]])
+
     def put(self, joints: IntArray, values: FloatArray) -> Channel:
         """Return the channel with the values of selected joints replaced.
 
