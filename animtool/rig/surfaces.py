@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,11 +11,12 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.names import unused_name
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
+from animtool.maths import so3
 from animtool.rig.parts import (
     ArrayRef,
     ArraySource,
@@ -85,6 +87,22 @@ def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
             return tuple(_surface(rig, mesh, archives) for mesh in rig.meshes)
     except ValueError as error:
         raise FormatError(Fault("RIG018", f"{rig.name!r}: {error}")) from error
+
+
+def rotate_unskinned(
+    surfaces: Sequence[Surface], rotation: ArrayLike | None
+) -> tuple[Surface, ...]:
+    """Return meshes rotated, except skinned ones, which joints move."""
+    if rotation is None:
+        return tuple(surfaces)
+    transform = np.eye(4)
+    transform[:3, :3] = so3.to_matrix(rotation)
+    return tuple(
+        surface
+        if surface.skin is not None
+        else replace(surface, geom_bind=transform @ surface.geom_bind)
+        for surface in surfaces
+    )
 
 
 def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:

@@ -13,12 +13,17 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis, up_from_up
-from animtool.maths import so3
+from animtool.core.units import up_from_up
 from animtool.motion.motion import Motion, TimedBlocks, split_blocks
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
+from animtool.rig.surfaces import (
+    Strands,
+    Surface,
+    rotate_unskinned,
+    strands_of,
+    surfaces_of,
+)
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.sources.open import is_usd
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
@@ -82,7 +87,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
             prim_path = options.source.prim_path
             stage_meshes = read_source_meshes(source, prim_path, options.placement)
         take.notices.extend(stage_meshes.notices)
-        surfaces = _rotate_surfaces(stage_meshes.surfaces, rig.up, stage_meshes.up)
+        rotation = up_from_up(rig.up, stage_meshes.up)
+        surfaces = rotate_unskinned(stage_meshes.surfaces, rotation)
         strands, bind = stage_meshes.strands, stage_meshes.bind
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
@@ -95,26 +101,6 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
     meshes += character_strands(strands, rig.names, bind)
     character_parts = (surfaces, strands, joint_map, tuple(meshes))
     return DeformedCharacter(rig, *character_parts, source_label)
-
-
-def _rotate_surfaces(
-    surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
-) -> tuple[Surface, ...]:
-    """Rotate meshes without a skin to another up axis.
-
-    Skinned meshes need no rotation: their joints are already rotated.
-    """
-    rotation = up_from_up(up, source_up)
-    if rotation is None:
-        return surfaces
-    transform = np.eye(4)
-    transform[:3, :3] = so3.to_matrix(np.array(rotation))
-    return tuple(
-        surface
-        if surface.skin is not None
-        else replace(surface, geom_bind=transform @ surface.geom_bind)
-        for surface in surfaces
-    )
 
 
 def motion_chunks(
