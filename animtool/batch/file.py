@@ -32,7 +32,7 @@ from animtool.core.errors import excerpt
 from animtool.core.names import is_variable_name
 from animtool.core.readers import is_timeline
 from animtool.core.timecode import is_timecode
-from animtool.documents.check import check_version, validate_document
+from animtool.documents.check import validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import resolve_input
 from animtool.scene.bake.options import BakeOptions
@@ -192,8 +192,7 @@ def load_batch(path: Path | str, *, uses_timeline: bool = False) -> BatchSpec:
 
 def parse_batch(document: Document, *, uses_timeline: bool = False) -> BatchSpec:
     """Return the spec of a parsed batch file; see `load_batch`."""
-    check_version(document, "batch")
-    model = validate_document(document, BatchModel)
+    model = validate_file(document, "batch", BatchModel)
     spec = _BatchReader(document, model, uses_timeline=uses_timeline).spec()
     document.check()
     return spec

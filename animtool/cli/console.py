@@ -175,12 +175,19 @@ class Console:
                     text = "\n".join([text, *lines])
                 self._write(log_entry, text)
 
-    def report(self, report_format: str, record: object, template: Template) -> None:
-        """Write a report, as JSON to stdout or as lines.
+    def report(
+        self,
+        report_format: str,
+        record: object,
+        template: Template,
+        notices: Iterable[Fault] = (),
+    ) -> None:
+        """Write notices, and a report as JSON to stdout or as lines.
 
         The format is ``json`` or ``text``. Result lines of the template go to stdout,
         other lines to stderr.
         """
+        self.faults(notices)
         if report_format == "json":
             self.result_json(record)
             return

@@ -139,10 +139,9 @@ def convert(
             base=params["base"],
             progress=progress,
         )
-    console.faults(report.notices)
     from animtool.cli.summary import CONVERT_TEMPLATE
 
-    console.report(params["report_format"], report, CONVERT_TEMPLATE)
+    console.report(params["report_format"], report, CONVERT_TEMPLATE, report.notices)
 
 
 def _output_path(source: Path, output: Path | None, output_option: Path | None) -> Path:
@@ -225,8 +224,7 @@ def _convert_rig(
             overwrite=params["overwrite"],
             strict=params["strict"],
         )
-    console.faults(report.notices)
-    console.report(params["report_format"], report, _RIG_TEMPLATE)
+    console.report(params["report_format"], report, _RIG_TEMPLATE, report.notices)
 
 
 _RIG_TEMPLATE = Template(

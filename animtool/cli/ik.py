@@ -219,8 +219,7 @@ def ik(console: Console, /, **params: Any) -> None:
         except MissedGoalsError as error:
             console.report(params["report_format"], error.report, SOLVE_TEMPLATE)
             raise
-    console.faults(report.notices)
-    console.report(params["report_format"], report, SOLVE_TEMPLATE)
+    console.report(params["report_format"], report, SOLVE_TEMPLATE, report.notices)
 
 
 def _run_match_command(console: Console, params: dict[str, Any], source: Any) -> None:
@@ -248,8 +247,7 @@ def _run_match_command(console: Console, params: dict[str, Any], source: Any) ->
     )
     with console.progress(f"match {params['start'].name}") as progress:
         report = run_match(job, progress=progress)
-    console.faults(report.notices)
-    console.report(params["report_format"], report, MATCH_TEMPLATE)
+    console.report(params["report_format"], report, MATCH_TEMPLATE, report.notices)
 
 
 def _check_match(params: dict[str, Any]) -> None:

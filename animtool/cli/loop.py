@@ -73,8 +73,7 @@ def loop(console: Console, /, source: Path, output: Path | None, **params: Any) 
             strict=params["strict"],
             progress=progress,
         )
-    console.faults(result.notices)
-    console.report(params["report_format"], result, _TEMPLATE)
+    console.report(params["report_format"], result, _TEMPLATE, result.notices)
     if result.written is not None and params["report_format"] != "json":
         from animtool.cli.summary import CONVERT_TEMPLATE
 

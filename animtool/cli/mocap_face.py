@@ -101,8 +101,8 @@ def face(console: Console, /, landmarks: Path, **params: Any) -> None:
         return
     with atomic_command(), console.progress(f"face {landmarks.name}") as progress:
         result = run_face(job, progress=progress)
-    console.faults(result.notices)
-    console.report(params["report_format"], result, _report_template(result))
+    template = _report_template(result)
+    console.report(params["report_format"], result, template, result.notices)
 
 
 def _unsolved_counts(status: Sequence[object]) -> list[str]:

@@ -120,8 +120,7 @@ def solve(
         return
     with console.progress(f"solve {source.name}", is_stdout=is_stdout) as progress:
         report = run_solve(job, progress=progress)
-    console.faults(report.notices)
-    console.report(params["report_format"], report, _TEMPLATE)
+    console.report(params["report_format"], report, _TEMPLATE, report.notices)
 
 
 def _bone_scale_text(calibration: Calibration) -> str:

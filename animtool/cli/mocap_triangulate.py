@@ -101,8 +101,7 @@ def triangulate(
         losses = write_markers(result.markers, output, overwrite=params["overwrite"])
     notices = (*result.notices, *losses)
     result = replace(result, source=observations, output=output, notices=notices)
-    console.faults(result.notices)
-    console.report(params["report_format"], result, _TEMPLATE)
+    console.report(params["report_format"], result, _TEMPLATE, result.notices)
 
 
 def _camera_remarks(report: CameraReport) -> str:

@@ -145,8 +145,7 @@ def print_tradeoffs(
     """Print tables of time against error and, if requested, plot them."""
     from animtool.report.tradeoffs import TABLES
 
-    console.faults(report.notices)
-    console.report(report_format, report, TABLES)
+    console.report(report_format, report, TABLES, report.notices)
     if plot is None:
         return
     from animtool.preview.work_precision import draw_panels, panels_of

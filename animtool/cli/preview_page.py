@@ -82,8 +82,7 @@ def write_preview(
     target = temporary_page() if output is None else output
     with console.progress(f"preview {files[0].name}"):
         report = write_page(files, target, options, overwrite=overwrite)
-    console.faults(report.page.notices)
-    console.report(report_format, report, PAGE_TEMPLATE)
+    console.report(report_format, report, PAGE_TEMPLATE, report.page.notices)
     if opens_browser and not open_browser(target.resolve().as_uri()):
         console.say("no browser was found")
         opens_browser = False
@@ -111,8 +110,7 @@ def write_picture(
             overwrite=overwrite,
             progress=progress,
         )
-    console.faults(report.page.notices)
-    console.report(report_format, report, PICTURE_TEMPLATE)
+    console.report(report_format, report, PICTURE_TEMPLATE, report.page.notices)
 
 
 def serve_preview(

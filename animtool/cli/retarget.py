@@ -187,5 +187,4 @@ def retarget(
         return
     with console.progress(f"retarget {source.name}", is_stdout=is_stdout) as progress:
         report = run_retarget(job, progress=progress)
-    console.faults(report.notices)
-    console.report(params["report_format"], report, _TEMPLATE)
+    console.report(params["report_format"], report, _TEMPLATE, report.notices)

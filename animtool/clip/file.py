@@ -25,7 +25,7 @@ from animtool.core.rates import RateError, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.documents.arrays import Archives
-from animtool.documents.check import check_version, validate_document
+from animtool.documents.check import validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME, MAX_NUMBER
 from animtool.documents.references import (
@@ -74,8 +74,7 @@ def open_clip(path: Path | str) -> ClipFile:
 
 def clip_of_document(document: Document) -> ClipFile:
     """Return the unchecked clip file of a document; see `open_clip`."""
-    check_version(document, "clip")
-    model = _with_array_keys(document, validate_document(document, ClipModel))
+    model = _with_array_keys(document, validate_file(document, "clip", ClipModel))
     rig_path = None
     if model.rig is not None:
         roots = project_roots(document.path)

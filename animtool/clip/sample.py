@@ -16,7 +16,7 @@ from animtool.core.quantities import percent_hint
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.controls import ControlEffects, evaluate_controls
+from animtool.rig.controls import ControlEffects, evaluate_controls, undefined_faults
 from animtool.rig.joints import DRIVEN_PARTS, KEYED_PARTS, split_part
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.shapes import add_combinations
@@ -141,7 +141,9 @@ def sample_values(
         if name.startswith("control/")
     }
     control_effects = evaluate_controls(rig.controls, controls, clamp=clamp)
-    _check_defined(control_effects, times)
+    values = control_effects.unclamped_controls | control_effects.targets
+    for fault in undefined_faults(values, times):
+        raise FormatError(fault)
     notices += _range_notices(rig, control_effects, times, clamp=clamp)
     parts_by_joint = _parts_by_joint(keyed_values, control_effects)
     notices += _drop_replaced_parts(parts_by_joint)
@@ -191,18 +193,6 @@ def _joint_coordinates(
             value = joint.limits.clamped(value)
         coordinates[f"{name}.{part}"] = value[:, 0]
     return coordinates
-
-
-def _check_defined(control_effects: ControlEffects, times: FloatArray) -> None:
-    """Raise if a control or target is not finite at a time."""
-    all_values = control_effects.unclamped_controls | control_effects.targets
-    for name, values in all_values.items():
-        undefined_frames = np.flatnonzero(~np.isfinite(values))
-        if undefined_frames.size:
-            frame = times[undefined_frames[0]] if len(values) > 1 else times[0]
-            message = f"{name} has no value at frame {frame:g}"
-            hint = "an expression divides by zero or overflows"
-            raise FormatError(Fault("CLIP015", message, None, (), hint))
 
 
 def _range_notices(

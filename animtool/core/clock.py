@@ -119,10 +119,14 @@ class Clock:
         return self.step * max(0, self.count - 1) / self.fps
 
     @property
+    def last(self) -> Fraction:
+        """Time code of the last frame."""
+        return self.start + self.step * max(0, self.count - 1)
+
+    @property
     def span(self) -> FrameSpan:
         """First and last time code, with the time codes per second."""
-        last = self.start + self.step * max(0, self.count - 1)
-        return FrameSpan(self.start, last, self.fps)
+        return FrameSpan(self.start, self.last, self.fps)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Container, Iterable
 from itertools import islice
 from pathlib import Path
 
@@ -267,6 +267,18 @@ def sort_by_similarity(name: str, names: Iterable[str]) -> list[str]:
         return -2 * len(letter_pairs & other_pairs) / max(pair_count, 1)
 
     return sorted(names, key=dissimilarity)
+
+
+def unused_name(name: str, used_names: Container[str]) -> str:
+    """Return a name, numbered if it is used.
+
+    >>> unused_name("a", {"a", "a_2"})
+    'a_3'
+    """
+    unused, number = name, 2
+    while unused in used_names:
+        unused, number = f"{name}_{number}", number + 1
+    return unused
 
 
 def numbered_names(names: Iterable[str]) -> list[str]:

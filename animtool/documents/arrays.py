@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -9,6 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from animtool.core.array_types import FloatArray
+from animtool.core.errors import AnimtoolError
+from animtool.core.files.reading import open_input
 from animtool.documents.archive import Archive, ArrayHeader, archive_errors
 
 # Files open at once: systems allow a few hundred.
@@ -91,6 +95,20 @@ class Archives:
         # Least recently used first.
         self._open[path] = archive
         return archive
+
+
+@contextmanager
+def open_arrays(
+    path: Path, describe: Callable[[str], AnimtoolError]
+) -> Iterator[Archives]:
+    """Open a file of arrays; ``describe`` returns the error for a faulty array."""
+    # A missing or unreadable file raises the common error of all files.
+    open_input(path, None).close()
+    try:
+        with Archives() as archives:
+            yield archives
+    except ValueError as error:
+        raise describe(str(error).removeprefix(path.name).lstrip("# ")) from error
 
 
 def load_array(path: Path, key: str) -> FloatArray:

@@ -92,6 +92,12 @@ def validate_document(document: Document, model: type[Model]) -> Model:
             ModelFaults(document, model, value).replace_faulty(error)
 
 
+def validate_file(document: Document, kind: str, model: type[Model]) -> Model:
+    """Return a file of a kind as a model, as `validate_document` does."""
+    check_version(document, kind)
+    return validate_document(document, model)
+
+
 def unknown_option_faults(
     options: Mapping[str, Any], names: Collection[str], owner: str
 ) -> LocatedFaults:

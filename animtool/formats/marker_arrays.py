@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,11 +14,10 @@ import numpy.typing as npt
 from animtool.core.arguments import flag
 from animtool.core.clock import Clock, time_fraction
 from animtool.core.errors import Fault, counted, faults_in, listed
-from animtool.core.files.reading import open_input
 from animtool.core.files.signatures import expects_format
 from animtool.core.rates import FractionLike
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.documents.arrays import Archives
+from animtool.documents.arrays import Archives, open_arrays
 from animtool.documents.references import split_reference
 from animtool.formats.trajectories import MAX_POSITIONS, CaptureFile
 from animtool.motion.markers import Markers
@@ -63,23 +63,9 @@ def read_markers(
     path_text, array_name = split_reference(str(path), "")
     path = Path(path_text)
     file = CaptureFile(str(path))
-    # A missing or unreadable file raises the common error of all files.
-    open_input(path, None).close()
-    try:
-        with Archives() as archives:
-            return _read_arrays(
-                file,
-                archives,
-                path,
-                array or array_name or None,
-                unit,
-                up,
-                fps,
-                subject,
-            )
-    except ValueError as error:
-        message = str(error).removeprefix(path.name).lstrip("# ")
-        raise file.error("MKR012", message) from error
+    array = array or array_name or None
+    with open_arrays(path, partial(file.error, "MKR012")) as archives:
+        return _read_arrays(file, archives, path, array, unit, up, fps, subject)
 
 
 def _read_arrays(

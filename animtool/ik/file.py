@@ -20,7 +20,7 @@ from animtool.core.names import name_hint
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.units import LengthUnit
 from animtool.documents.arrays import Archives
-from animtool.documents.check import check_version, validate_document
+from animtool.documents.check import validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
 from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
@@ -61,8 +61,7 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
 
 def targets_of_document(document: Document, rig: Rig | None) -> TargetTracks:
     """Return the target tracks of a document; see `load_targets`."""
-    check_version(document, "targets")
-    model = validate_document(document, TargetsModel)
+    model = validate_file(document, "targets", TargetsModel)
     with Archives() as archives:
         tracks = _TargetsReader(document, model, rig, archives).read_tracks()
     document.check()

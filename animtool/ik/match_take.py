@@ -20,7 +20,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, OptionError, Severity, listed
-from animtool.core.names import name_hint
+from animtool.core.names import name_hint, unused_name
 from animtool.core.record import dataclass
 from animtool.ik.chain_frame import check_scales
 from animtool.ik.goals import PARTS, path_to_root
@@ -109,7 +109,7 @@ def match_take(
     matched_limbs = match(smaller_rig, chains, world)
     clock = take.clock
     first = Fraction(float(clock.start))
-    last = Fraction(float(clock.start + clock.step * (clock.count - 1)))
+    last = Fraction(float(clock.last))
     writes_keys = clock.count <= MAX_KEYED_FRAMES or clock.step != 1
     # Arrays have a row for each frame of the file's range.
     writes_keys = writes_keys or last - first != clock.count - 1 or "#" in path.name
@@ -227,10 +227,7 @@ class _ValueBuilder:
 
     def _unique_name(self, name: str) -> str:
         """Return a unique array name of word characters only."""
-        unique_name = identifier = re.sub(r"\W", "_", name)
-        number = 2
-        while unique_name in self.names:
-            unique_name, number = f"{identifier}_{number}", number + 1
+        unique_name = unused_name(re.sub(r"\W", "_", name), self.names)
         self.names.add(unique_name)
         return unique_name
 

@@ -275,6 +275,22 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
     return np.where(q[..., 3:] < 0, -q, q) + 0.0
 
 
+def nearest_rotations(matrices: FloatArray) -> FloatArray:
+    """Return the rotation matrices nearest to matrices ``(..., 3, 3)``.
+
+    Of a covariance of points, it is the rotation of their best fit.
+
+    References:
+        W. Kabsch, A solution for the best rotation to relate two sets of vectors, 1976.
+
+    >>> nearest_rotations(np.diag([3.0, 2.0, -1.0])).tolist()
+    [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
+    """
+    left, _, right = np.linalg.svd(matrices)
+    left[..., 2] *= np.sign(np.linalg.det(left @ right))[..., None]
+    return np.asarray(left @ right)
+
+
 def split_scale(linear: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Split linear maps ``(..., 3, 3)`` into rotations and scales, ``L = R·S``.
 

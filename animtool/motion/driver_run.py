@@ -13,6 +13,7 @@ from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
+from animtool.rig.controls import undefined_faults
 from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import TWIST, split_coordinate
 from animtool.rig.driving import DriverValues, ball_part_values, evaluate_drivers
@@ -351,14 +352,9 @@ def _check_defined(rig: Rig, driver_values: DriverValues, times: FloatArray) -> 
         **{f"control {name!r}": v for name, v in driver_values.controls.items()},
         **{f"shape {name!r}": v for name, v in driver_values.shapes.items()},
     }
-    faults = []
-    for target, values in values_by_target.items():
-        undefined_indices = np.flatnonzero(~np.isfinite(values))
-        if undefined_indices.size and len(times):
-            frame = times[undefined_indices[0] if len(values) > 1 else 0]
-            message = f"the driver of {target} has no value at frame {frame:g}"
-            hint = "an expression divides by zero or overflows"
-            faults.append(Fault("CLIP015", message, None, (), hint))
+    faults = undefined_faults(
+        {f"the driver of {name}": v for name, v in values_by_target.items()}, times
+    )
     if faults:
         raise FormatError(faults)
 

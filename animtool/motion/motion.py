@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import field, replace
 from typing import Any, TypeAlias
 
@@ -62,6 +62,18 @@ class Channel:
         if is_moving.any():
             values[:, is_moving] = self.values[:, columns[joints[is_moving]]]
         return values
+
+    def reorder(self, indices: IntArray, rest_values: FloatArray) -> Channel:
+        """Return the channel with the joints of indices; -1 gives the rest value."""
+        is_mapped = indices >= 0
+        rest = np.array(rest_values, np.float64)
+        rest[is_mapped] = self.rest[indices[is_mapped]]
+        column_by_joint = np.full(len(self.rest), -1)
+        column_by_joint[self.animated] = np.arange(len(self.animated))
+        columns = np.full(len(indices), -1)
+        columns[is_mapped] = column_by_joint[indices[is_mapped]]
+        animated_joints = np.flatnonzero(columns >= 0)
+        return Channel(rest, animated_joints, self.values[:, columns[animated_joints]])
 
     def put(self, joints: IntArray, values: FloatArray) -> Channel:
         """Return the channel with the values of selected joints replaced.
@@ -236,3 +248,14 @@ class Motion:
 
 # Returns a take's motion at times ``(F,)`` [time codes], in any order.
 MotionCurve: TypeAlias = Callable[[FloatArray], Motion]
+
+# Time codes ``(F,)`` and motion of consecutive blocks.
+TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]
+
+
+def split_blocks(blocks: TimedBlocks, max_frames: int) -> TimedBlocks:
+    """Yield blocks of at most a number of frames."""
+    for codes, motion in blocks:
+        for first in range(0, len(codes), max_frames):
+            frames = slice(first, first + max_frames)
+            yield codes[frames], motion.select(frames)

@@ -10,8 +10,16 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
+from animtool.maths import so3
 
 IDENTITY_POSE: FloatArray = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])
+
+
+def relative_pose(frame: FloatArray, pose: FloatArray) -> FloatArray:
+    """Return a pose ``(7,)`` relative to a frame ``(7,)`` in the same space."""
+    inverse_rotation = so3.conjugate(frame[3:])
+    position = so3.rotate(inverse_rotation, pose[:3] - frame[:3])
+    return np.concatenate([position, so3.multiply(inverse_rotation, pose[3:])])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

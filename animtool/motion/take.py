@@ -188,12 +188,11 @@ class Take:
     def __repr__(self) -> str:
         """Return the rig's name, the frames and the joints."""
         clock, joints = self.clock, counted(len(self.rig.joints), "joint")
-        last = clock.start + clock.step * (clock.count - 1)
         step_text = "" if clock.step == 1 else f" every {float(clock.step):g}"
         frames = counted(clock.count, "frame")
         return (
             f"<Take of {self.rig.name!r}: {frames} from {float(clock.start):g} to "
-            f"{float(last):g}{step_text} at {rate_label(clock.fps)}, {joints}>"
+            f"{float(clock.last):g}{step_text} at {rate_label(clock.fps)}, {joints}>"
         )
 
 

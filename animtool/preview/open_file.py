@@ -35,7 +35,13 @@ from animtool.motion.take import TakeStream
 from animtool.preview.options import PreviewOptions
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
+from animtool.rig.surfaces import (
+    Strands,
+    Surface,
+    rotate_unskinned,
+    strands_of,
+    surfaces_of,
+)
 from animtool.scene.sources.open import (
     SourceOptions,
     fitting_options,
@@ -273,7 +279,7 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
         visible_surfaces = [
             surface for surface in meshes.surfaces if surface.name not in bones
         ]
-        surfaces = contents.surfaces_to_y_up(visible_surfaces)
+        surfaces = rotate_unskinned(visible_surfaces, contents.up_rotation)
         colors = contents.bound_colors(prim)
         file.takes.append(
             TakeToShow(

@@ -12,7 +12,7 @@ from pydantic import Field
 from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
-from animtool.documents.check import FileModel, check_version, validate_document
+from animtool.documents.check import FileModel, validate_file
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.retarget.map import TwistFraction
@@ -130,8 +130,7 @@ def load_map(path: Path | str) -> MapFile:
 
 def parse_map_document(document: Document) -> MapFile:
     """Return a document as a map file; raise on repeated targets or unknown roles."""
-    check_version(document, "map")
-    model = validate_document(document, MapModel)
+    model = validate_file(document, "map", MapModel)
     entry_of_joint: dict[str, int] = {}
     for i, entry in enumerate(model.joints):
         for name in _name_list(entry.target):

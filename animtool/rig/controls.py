@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.rig.dependencies import dependency_order
 from animtool.rig.drivers import SLIDE, Driver, curve_values
@@ -92,6 +93,21 @@ class ControlEffects:
     targets: dict[str, FloatArray]
     # Value of each control before clamping to its range.
     unclamped_controls: dict[str, FloatArray]
+
+
+def undefined_faults(
+    values_by_name: Mapping[str, FloatArray], times: FloatArray
+) -> list[Fault]:
+    """Return a fault for each ``(F,)`` or ``(1,)`` values that are not all finite."""
+    faults = []
+    for name, values in values_by_name.items():
+        undefined_frames = np.flatnonzero(~np.isfinite(values))
+        if undefined_frames.size and len(times):
+            frame = times[undefined_frames[0] if len(values) > 1 else 0]
+            message = f"{name} has no value at frame {frame:g}"
+            hint = "an expression divides by zero or overflows"
+            faults.append(Fault("CLIP015", message, None, (), hint))
+    return faults
 
 
 def evaluate_controls(

@@ -13,7 +13,7 @@ from animtool.core.names import name_hint
 from animtool.core.readers import DOCUMENT, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
-from animtool.documents.check import check_version, validate_document
+from animtool.documents.check import validate_file
 from animtool.documents.document import Document, read_document
 from animtool.documents.references import resolve_reference
 from animtool.rig.array_entries import ArrayReader
@@ -118,8 +118,7 @@ def load_rig(path: Path | str, parents: tuple[Path, ...] = ()) -> Rig:
 
 def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     """Return the rig of a document; see `load_rig`."""
-    check_version(document, "rig")
-    model = validate_document(document, RigModel)
+    model = validate_file(document, "rig", RigModel)
     reference_roots = project_roots(document.path)
     units = FileUnits(
         LengthUnit(model.units.length).meters,

@@ -141,7 +141,7 @@ class Placement:
         axis_index = int(np.abs(local_up).argmax())
         nearest_axis = np.zeros(3)
         nearest_axis[axis_index] = np.copysign(1.0, local_up[axis_index])
-        righting_rotation = _rotation_between(nearest_axis, axis)
+        righting_rotation = so3.shortest_rotation(nearest_axis, axis)
         righting_rotations = np.repeat(righting_rotation[None], len(self.sizes), axis=0)
         scale_and_righting = Placement(
             np.zeros((len(righting_rotations), 3)), righting_rotations, self.sizes
@@ -153,13 +153,6 @@ class Placement:
             self.translations, remaining_rotations, np.ones(len(righting_rotations))
         )
         return heading_placement, scale_and_righting
-
-
-def _rotation_between(start: FloatArray, end: FloatArray) -> FloatArray:
-    """Return the shortest rotation between two axes; about X if opposite."""
-    if (start == -end).all():
-        return np.array([1.0, 0.0, 0.0, 0.0])
-    return so3.shortest_rotation(start, end)
 
 
 def placement_matrices(placement: Placement, unit: float = 1.0) -> FloatArray:

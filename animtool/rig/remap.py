@@ -13,7 +13,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
-from animtool.documents.check import FileModel, check_version, validate_document
+from animtool.documents.check import FileModel, validate_file
 from animtool.documents.document import Document, read_document
 from animtool.documents.fields import IgnoreModel, Name, NumberPair, Real
 from animtool.rig.shapes import arkit_name
@@ -112,8 +112,7 @@ def load_remap(path: Path | str) -> RemapFile:
 
 def parse_remap(document: Document) -> RemapFile:
     """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
-    check_version(document, "remap")
-    model = validate_document(document, RemapModel)
+    model = validate_file(document, "remap", RemapModel)
     first_indices: dict[tuple[str, str], int] = {}
     for i, entry in enumerate(model.shapes):
         shape_pair = (entry.source, entry.target)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from dataclasses import field, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -10,10 +11,12 @@ from typing import Any, TypeVar
 import numpy as np
 import numpy.typing as npt
 
-from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError
+from animtool.core.names import unused_name
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
+from animtool.maths import so3
 from animtool.rig.parts import (
     ArrayRef,
     ArraySource,
@@ -84,6 +87,22 @@ def surfaces_of(rig: Rig) -> tuple[Surface, ...]:
             return tuple(_surface(rig, mesh, archives) for mesh in rig.meshes)
     except ValueError as error:
         raise FormatError(Fault("RIG018", f"{rig.name!r}: {error}")) from error
+
+
+def rotate_unskinned(
+    surfaces: Sequence[Surface], rotation: ArrayLike | None
+) -> tuple[Surface, ...]:
+    """Return meshes rotated, except skinned ones, which joints move."""
+    if rotation is None:
+        return tuple(surfaces)
+    transform = np.eye(4)
+    transform[:3, :3] = so3.to_matrix(rotation)
+    return tuple(
+        surface
+        if surface.skin is not None
+        else replace(surface, geom_bind=transform @ surface.geom_bind)
+        for surface in surfaces
+    )
 
 
 def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
@@ -250,10 +269,7 @@ class _ArrayStore:
             values = source.load()
         except ValueError as error:
             raise FormatError(Fault("RIG018", str(error))) from error
-        key = identifier = re.sub(r"\W", "_", name)
-        number = 2
-        while key in self.arrays:
-            key, number = f"{identifier}_{number}", number + 1
+        key = unused_name(re.sub(r"\W", "_", name), self.arrays)
         self.arrays[key] = _to_32_bits(values, is_integer=is_integer)
         return ArrayRef(f"{self.path.name}#{key}", self.path, key)
 

@@ -25,7 +25,7 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.names import FILE_KINDS
 from animtool.core.options import key
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.documents.check import FileModel, check_version, validate_document
+from animtool.documents.check import FileModel, validate_file
 from animtool.documents.document import Document
 from animtool.documents.fields import IgnoreModel, Name, Quaternion, Real, Vector
 from animtool.maths.so3 import to_matrix
@@ -110,8 +110,7 @@ def parse_cameras(
 
     ``unit`` and ``up`` hold where the file states none.
     """
-    check_version(document, "cameras")
-    model = validate_document(document, CamerasModel)
+    model = validate_file(document, "cameras", CamerasModel)
     is_unit_stated = "length" in model.units.model_fields_set
     if unit is None or is_unit_stated:
         unit = LengthUnit(model.units.length)

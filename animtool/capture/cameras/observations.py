@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from animtool.core.files.signatures import signature_of
 from animtool.core.names import most_similar
 from animtool.core.rates import FractionLike, rate_from_float, rate_option
 from animtool.core.record import dataclass
-from animtool.documents.arrays import Archives
+from animtool.documents.arrays import Archives, open_arrays
 
 # Pixel arrays by key: unit of a stored number [px], and the number that marks invisible
 # points.
@@ -118,14 +119,8 @@ def read_observations(
         OptionError: Invalid frame rate (SCN022).
     """
     path = Path(path)
-    open_input(path, None).close()
-    try:
-        with Archives() as archives:
-            return _read_arrays(archives, path, fps)
-    except ValueError as error:
-        message = str(error).removeprefix(path.name).lstrip("# ")
-        message, hint = _not_npz_error(path, message)
-        raise FormatError(Fault("CAM010", message, str(path), hint=hint)) from error
+    with open_arrays(path, partial(_npz_error, path)) as archives:
+        return _read_arrays(archives, path, fps)
 
 
 def _solve_hint(path: Path) -> str:
@@ -133,7 +128,13 @@ def _solve_hint(path: Path) -> str:
     return f"they are triangulated already: animtool mocap solve {path}"
 
 
-def _not_npz_error(path: Path, message: str) -> tuple[str, str | None]:
+def _npz_error(path: Path, message: str) -> FormatError:
+    """Return an error about a faulty array, or about a file that is not npz."""
+    message, hint = _explain_npz_fault(path, message)
+    return FormatError(Fault("CAM010", message, str(path), hint=hint))
+
+
+def _explain_npz_fault(path: Path, message: str) -> tuple[str, str | None]:
     """Return the error message and hint for a file that is not npz."""
     with open_input(path, None) as file:
         first_bytes = file.read(SIGNATURE_BYTES)

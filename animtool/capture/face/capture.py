@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from fractions import Fraction
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +23,6 @@ from animtool.core.errors import (
     listed,
     names_fault,
 )
-from animtool.core.files.reading import open_input
 from animtool.core.names import name_hint
 from animtool.core.rates import (
     FractionLike,
@@ -34,7 +34,7 @@ from animtool.core.rates import (
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
-from animtool.documents.arrays import Archives
+from animtool.documents.arrays import Archives, open_arrays
 from animtool.documents.references import split_reference
 
 _UNIT_SUFFIXES = {f"_{unit}": unit.meters for unit in LengthUnit}
@@ -98,13 +98,8 @@ def read_capture(
             markers.up,
             notices=markers.notices,
         )
-    open_input(path, None).close()
-    try:
-        with Archives() as archives:
-            return _read_arrays(archives, path, array_name, unit, up or UpAxis.Y, fps)
-    except ValueError as error:
-        message = str(error).removeprefix(path.name).lstrip("# ")
-        raise _format_error(path, message) from error
+    with open_arrays(path, partial(_format_error, path)) as archives:
+        return _read_arrays(archives, path, array_name, unit, up or UpAxis.Y, fps)
 
 
 def _format_error(path: Path, message: str, hint: str | None = None) -> FormatError:

@@ -14,7 +14,7 @@ from animtool.core.config import project_roots
 from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
-from animtool.documents.check import FileModel, check_version, validate_document
+from animtool.documents.check import FileModel, validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.documents.references import resolve_input
@@ -102,8 +102,7 @@ def load_landmarks(path: Path | str) -> LandmarksFile:
 
 def parse_landmarks(document: Document) -> LandmarksFile:
     """Check a landmarks document: unique names, and vertices with weights (FAC008)."""
-    check_version(document, "landmarks")
-    model = validate_document(document, LandmarksModel)
+    model = validate_file(document, "landmarks", LandmarksModel)
     index_of_name: dict[str, int] = {}
     for i, point in enumerate(model.points):
         location: Location = ("points", i)

@@ -5,7 +5,13 @@ from __future__ import annotations
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.maths.so3 import align_signs, from_matrix, rotate, slerp
+from animtool.maths.so3 import (
+    align_signs,
+    from_matrix,
+    nearest_rotations,
+    rotate,
+    slerp,
+)
 
 # Iterations of reweighting, and of perspective.
 ROBUST_ROUNDS = 4
@@ -48,10 +54,7 @@ def _kabsch_poses(
     covariance = np.einsum(
         "fn,fni,fnj->fij", robust_weights, points - centroid[:, None], centred_points
     )
-    u, _, vt = np.linalg.svd(covariance)
-    signs = np.ones((len(points), 3))
-    signs[:, 2] = np.sign(np.linalg.det(u @ vt))
-    rotations = from_matrix((u * signs[:, None]) @ vt)
+    rotations = from_matrix(nearest_rotations(covariance))
     return np.concatenate([rotations, centroid - rotate(rotations, centre)], axis=1)
 
 

@@ -6,6 +6,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
+from animtool.maths.so3 import nearest_rotations
 
 # Most frames sampled of a long take.
 MAX_SAMPLED_FRAMES = 1500
@@ -68,10 +69,6 @@ def fit_shape(points: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatA
 
     points: ``(F, K, 3)``. shape: ``(K, 3)``. The result is ``(F, 3, 3)`` and ``(F,
     3)``; ``points = rotation · shape + translation``.
-
-    References:
-        Kabsch, W., "A solution for the best rotation to relate two sets of vectors",
-        Acta Crystallographica A32, 1976.
     """
     weights = np.full(points.shape[:2], 1.0 / len(shape))
     centre = np.einsum("fk,fki->fi", weights, points)
@@ -80,10 +77,7 @@ def fit_shape(points: FloatArray, shape: FloatArray) -> tuple[FloatArray, FloatA
     covariance = np.einsum(
         "fk,fki,fkj->fij", weights, points - centre[:, None], centred_shape
     )
-    left_vectors, _, right_vectors = np.linalg.svd(covariance)
-    sign = np.sign(np.linalg.det(left_vectors) * np.linalg.det(right_vectors))
-    left_vectors[:, :, 2] *= np.where(sign == 0, 1.0, sign)[:, None]
-    rotation = left_vectors @ right_vectors
+    rotation = nearest_rotations(covariance)
     return rotation, centre - np.einsum("fij,fj->fi", rotation, shape_centre)
 
 

@@ -172,10 +172,8 @@ def fit_rigid_motions(
         points - point_centre[:, None],
         positions - position_centre[:, None],
     )
-    left_vectors, _, right_vectors = np.linalg.svd(covariance)
-    handedness = np.sign(np.linalg.det(left_vectors @ right_vectors))
-    left_vectors[:, :, 2] *= np.where(handedness == 0, 1.0, handedness)[:, None]
-    rotation = so3.from_matrix(np.swapaxes(left_vectors @ right_vectors, 1, 2))
+    inverse_rotation = so3.nearest_rotations(covariance)
+    rotation = so3.from_matrix(np.swapaxes(inverse_rotation, 1, 2))
     return rotation, position_centre - so3.rotate(rotation, point_centre)
 
 

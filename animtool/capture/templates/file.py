@@ -15,7 +15,7 @@ from animtool.core.errors import counted, listed
 from animtool.core.options import key
 from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit, likely_unit
-from animtool.documents.check import FileModel, check_version, validate_document
+from animtool.documents.check import FileModel, validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
 from animtool.documents.references import resolve_input
@@ -122,8 +122,7 @@ def _check_names(document: Document, model: MarkersModel) -> None:
 
 def parse_template(document: Document) -> MarkerTemplate:
     """Convert a template document to a template with offsets in metres; check it."""
-    check_version(document, "markers")
-    model = validate_document(document, MarkersModel)
+    model = validate_file(document, "markers", MarkersModel)
     meters_per_unit = LengthUnit(model.units.length).meters
     _check_names(document, model)
     markers = []

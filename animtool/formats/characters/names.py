@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterable
 
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
-from animtool.core.names import numbered_names
+from animtool.core.names import numbered_names, unused_name
 from animtool.core.quantities import CONTROL_CHARACTERS
 from animtool.formats.characters.nodes import Node
 
@@ -70,8 +70,5 @@ def shape_names(shapes: Iterable[tuple[str, str, str]]) -> list[str]:
     for file_name, default_name, mesh in shapes:
         name = replace_unprintable(file_name) or default_name
         name = f"{mesh}_{name}" if name in used_names else name
-        unique_name, number = name, 2
-        while unique_name in used_names:
-            unique_name, number = f"{name}_{number}", number + 1
-        used_names[unique_name] = None
+        used_names[unused_name(name, used_names)] = None
     return list(used_names)

@@ -157,16 +157,13 @@ def read_scenes(
     for item in json_root.children("scenes"):
         scene_nodes = item.indices("nodes", len(nodes), "node")
         for position, node in enumerate(scene_nodes):
+            pointer = f"{item.pointer_to('nodes')}/{position}"
             if nodes[node].parent >= 0:
                 message = f"node {node} has a parent; it appears once in the tree"
-                item.diagnostics.warn(
-                    "GLT106", f"{item.pointer_to('nodes')}/{position}", message
-                )
+                item.diagnostics.warn("GLT106", pointer, message)
             if node in scene_nodes[:position]:
                 message = f"node {node} is listed twice; it is in the tree once"
-                item.diagnostics.warn(
-                    "GLT106", f"{item.pointer_to('nodes')}/{position}", message
-                )
+                item.diagnostics.warn("GLT106", pointer, message)
         scenes.append(scene_nodes)
     default_scene = json_root.index("scene", len(scenes), "scene")
     return scenes, (0 if default_scene < 0 and scenes else default_scene)

@@ -13,13 +13,18 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis, up_from_up
-from animtool.maths import so3
-from animtool.motion.motion import Motion
+from animtool.core.units import up_from_up
+from animtool.motion.motion import Motion, TimedBlocks, split_blocks
 from animtool.rig.kinematics import bind_matrices
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Strands, Surface, strands_of, surfaces_of
-from animtool.scene.bake.frames import TakePlan, TimedBlocks
+from animtool.rig.surfaces import (
+    Strands,
+    Surface,
+    rotate_unskinned,
+    strands_of,
+    surfaces_of,
+)
+from animtool.scene.bake.frames import TakePlan
 from animtool.scene.sources.open import is_usd
 from animtool.skin.character import CharacterMesh, character_meshes, character_strands
 
@@ -82,7 +87,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
             prim_path = options.source.prim_path
             stage_meshes = read_source_meshes(source, prim_path, options.placement)
         take.notices.extend(stage_meshes.notices)
-        surfaces = _rotate_surfaces(stage_meshes.surfaces, rig.up, stage_meshes.up)
+        rotation = up_from_up(rig.up, stage_meshes.up)
+        surfaces = rotate_unskinned(stage_meshes.surfaces, rotation)
         strands, bind = stage_meshes.strands, stage_meshes.bind
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
@@ -97,26 +103,6 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
     return DeformedCharacter(rig, *character_parts, source_label)
 
 
-def _rotate_surfaces(
-    surfaces: tuple[Surface, ...], up: UpAxis, source_up: UpAxis
-) -> tuple[Surface, ...]:
-    """Rotate meshes without a skin to another up axis.
-
-    Skinned meshes need no rotation: their joints are already rotated.
-    """
-    rotation = up_from_up(up, source_up)
-    if rotation is None:
-        return surfaces
-    transform = np.eye(4)
-    transform[:3, :3] = so3.to_matrix(np.array(rotation))
-    return tuple(
-        surface
-        if surface.skin is not None
-        else replace(surface, geom_bind=transform @ surface.geom_bind)
-        for surface in surfaces
-    )
-
-
 def motion_chunks(
     blocks: TimedBlocks, *, has_neighbours: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
@@ -125,7 +111,7 @@ def motion_chunks(
     With ``has_neighbours``, chunks include the frames before and after these.
     """
     previous_frame: tuple[FloatArray, Motion] | None = None
-    chunk_iterator = _split_blocks(blocks)
+    chunk_iterator = split_blocks(blocks, CHUNK_FRAMES)
     chunk = next(chunk_iterator, None)
     while chunk is not None:
         next_chunk = next(chunk_iterator, None)
@@ -142,10 +128,3 @@ def motion_chunks(
         yield codes, motion, slice(lead_count, lead_count + len(chunk[0]))
         previous_frame = chunk[0][-1:], chunk[1].select(slice(-1, None))
         chunk = next_chunk
-
-
-def _split_blocks(blocks: TimedBlocks) -> TimedBlocks:
-    for codes, motion in blocks:
-        for begin in range(0, len(codes), CHUNK_FRAMES):
-            frame_slice = slice(begin, begin + CHUNK_FRAMES)
-            yield codes[frame_slice], motion.select(frame_slice)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeAlias
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from animtool.edit.resample import (
 )
 from animtool.edit.straight import interpolation_notices
 from animtool.edit.travel import FramePositions
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Motion, TimedBlocks
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.first_frame import integer_frames, start_notice
@@ -42,8 +42,6 @@ if TYPE_CHECKING:
     from animtool.scene.systems.character_motion import CharacterRecorder
     from animtool.usd.props.writer import PropSamples
     from animtool.usd.rigs.joint_map import RigJointMap
-
-TimedBlocks: TypeAlias = Iterator[tuple[FloatArray, Motion]]  # time codes and motions
 
 
 @dataclass(frozen=True, slots=True)

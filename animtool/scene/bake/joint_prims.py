@@ -13,10 +13,10 @@ import numpy as np
 from animtool.core.errors import warning
 from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Motion, TimedBlocks
 from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
-from animtool.scene.bake.frames import BakedTake, TakePlan, TimedBlocks, moving_joints
+from animtool.scene.bake.frames import BakedTake, TakePlan, moving_joints
 from animtool.scene.bake.prims import (
     BakePlan,
     BakeState,

@@ -16,10 +16,10 @@ from animtool.core.errors import Fault, FormatError
 from animtool.core.files.output import written_size
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
-from animtool.motion.motion import Channel
+from animtool.motion.motion import Channel, TimedBlocks
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.scene.bake.deformed_character import DeformedCharacter, motion_chunks
-from animtool.scene.bake.frames import BakedTake, TimedBlocks
+from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.prims import (
     BakePlan,
     BakeState,

@@ -198,9 +198,8 @@ def _outside_targets_warning(job: IkJob, tracks: TargetTracks) -> list[Fault]:
     """
     assert job.frame is not None
     clock = tracks.clock
-    last = clock.start + clock.step * (clock.count - 1)
-    is_later = job.frame > last
-    if clock.count == 1 or clock.start <= job.frame <= last:
+    is_later = job.frame > clock.last
+    if clock.count == 1 or clock.start <= job.frame <= clock.last:
         return []
     curves = [
         value.channel
@@ -211,12 +210,9 @@ def _outside_targets_warning(job: IkJob, tracks: TargetTracks) -> list[Fault]:
     extrapolations = [curve.post if is_later else curve.pre for curve in curves]
     if extrapolations and Extrapolation.HOLD not in extrapolations:
         return []
-    message = (
-        f"frame {float(job.frame):g} is outside the targets, which run from frame "
-    )
-    message += (
-        f"{float(clock.start):g} to {float(last):g}; their nearest values are used"
-    )
+    message = f"frame {float(job.frame):g} is outside the targets, which run from "
+    message += f"frame {float(clock.start):g} to {float(clock.last):g}; their nearest "
+    message += "values are used"
     hint = f"use a frame of the targets with {argument('command.pose')}, or add keys"
     return [warning("TGT107", message, hint).in_file(job.targets)]
 
@@ -228,9 +224,8 @@ def frame_index(take: Take, frame: Fraction | None, path: Path) -> int:
         return 0
     index = (frame - clock.start) / clock.step
     if index.denominator != 1 or not 0 <= index < clock.count:
-        last = clock.start + clock.step * (clock.count - 1)
         message = f"frame {float(frame):g} is not one of the frames "
-        message += f"{float(clock.start):g} to {float(last):g}"
+        message += f"{float(clock.start):g} to {float(clock.last):g}"
         raise OptionError(Fault("SCN013", message, str(path)))
     return int(index)
 
@@ -323,8 +318,7 @@ MAX_LISTED_NAMES = 6
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
     """Return a take of the rest pose, with controls at their defaults."""
-    last = clock.start + clock.step * (clock.count - 1)
-    empty_clip = Clip("rest", clock.fps, clock.start, last, ())
+    empty_clip = Clip("rest", clock.fps, clock.start, clock.last, ())
     return empty_clip.sample(rig, step=clock.step)
 
 

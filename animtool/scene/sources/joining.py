@@ -101,8 +101,7 @@ class _Layer:
     def _sample_curve(self, codes: FloatArray) -> Motion:
         curve, clock = self.source.stream.curve, self.take.clock
         assert curve is not None
-        last_code = clock.start + clock.step * (clock.count - 1)
-        codes = np.clip(codes, float(clock.start), float(last_code))
+        codes = np.clip(codes, float(clock.start), float(clock.last))
         return _with_animated_entries_of(curve(codes), self.take.motion)
 
 

@@ -78,8 +78,8 @@ class NameMap:
         zero_weights = np.zeros((len(rig.shapes), 1))
         defaults = np.array([[control.default] for control in rig.controls])
         return Motion(
-            _gather_entries(motion.translations, self.joints, rig.rest_translations),
-            _gather_entries(motion.rotations, self.joints, rig.rest_rotations),
+            motion.translations.reorder(self.joints, rig.rest_translations),
+            motion.rotations.reorder(self.joints, rig.rest_rotations),
             _gather_or_rest(motion.scales, self.joints, unit_scales),
             self._with_combined_weights(
                 _gather_or_rest(motion.weights, self.shapes, zero_weights)
@@ -227,21 +227,4 @@ def _gather_or_rest(
 ) -> Channel | None:
     if channel is None or not len(indices):
         return None
-    return _gather_entries(channel, indices, rest_values)
-
-
-def _gather_entries(
-    channel: Channel, indices: IntArray, rest_values: FloatArray
-) -> Channel:
-    """Return a channel with entries reordered by indices; -1 gives the rest value."""
-    is_mapped = indices >= 0
-    values = np.array(rest_values, np.float64)
-    values[is_mapped] = channel.rest[indices[is_mapped]]
-    column_by_entry = np.full(len(channel.rest), -1)
-    column_by_entry[channel.animated] = np.arange(len(channel.animated))
-    column_indices = np.full(len(indices), -1)
-    column_indices[is_mapped] = column_by_entry[indices[is_mapped]]
-    animated_indices = np.flatnonzero(column_indices >= 0)
-    return Channel(
-        values, animated_indices, channel.values[:, column_indices[animated_indices]]
-    )
+    return channel.reorder(indices, rest_values)

@@ -14,8 +14,7 @@ from animtool.core.quantities import length_text, vector_text
 from animtool.documents.document import Document, Location
 from animtool.maths import so3
 from animtool.scene.file.entries import SceneSystem
-from animtool.scene.systems.suspicious_forces import EARTH_GRAVITY
-from animtool.scene.systems.suspicious_gravity import warn_of_weak_gravity
+from animtool.scene.systems.suspicious_forces import EARTH_GRAVITY, warn_of_weak_gravity
 from animtool.sim.colliders import Box, Capsule, Collider, Colliders, Plane, Sphere
 from animtool.sim.colliders.shapes import shape_bounds
 

@@ -22,8 +22,12 @@ from animtool.core.record import dataclass
 from animtool.sim.colliders.bodies import MovingBodies
 from animtool.sim.colliders.collider import Collider
 from animtool.sim.colliders.shapes import Box, Capsule, Mesh, Plane, Sphere
-from animtool.sim.colliders.sheets import Sheet, nearby_states
-from animtool.sim.colliders.surfaces import Surfaces, teleport_warning
+from animtool.sim.colliders.sheets import (
+    Sheet,
+    Surfaces,
+    nearby_states,
+    teleport_warning,
+)
 
 _SHAPE_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
 _SIZE_COUNT = 7

@@ -14,6 +14,7 @@ from animtool.core.errors import Fault, RefusalCollector, refuse, warning
 from animtool.core.quantities import vector_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
+from animtool.motion.physics import relative_pose
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, RigidBodies, refuse_unknown
 from animtool.systems.rigid.spec import BodyModel, JointDriveModel, RigidJointModel
@@ -187,7 +188,7 @@ def build_joints(
                 frame_a = relative_to_principal(bodies, parent, frame)
             else:
                 anchor = bodies.poses[parent]
-                frame_a = relative_frame(anchor.at(bodies.begin), frame)
+                frame_a = relative_pose(anchor.at(bodies.begin), frame)
         limits = _limit_parameters(model, name, location)
         drive = _drive_parameters(model, location)
         is_excluded = parent >= 0 and not model.contacts
@@ -300,20 +301,13 @@ def _axis_rotation(model: RigidJointModel, name: str, location: str) -> FloatArr
     return so3.shortest_rotation(np.array([1.0, 0.0, 0.0]), axis / length)
 
 
-def relative_frame(pose: FloatArray, frame: FloatArray) -> FloatArray:
-    """Return a frame relative to a pose in the same space ``(7,)``."""
-    inverse = so3.conjugate(pose[3:])
-    origin = so3.rotate(inverse, frame[:3] - pose[:3])
-    return np.concatenate([origin, so3.multiply(inverse, frame[3:])])
-
-
 def relative_to_principal(
     bodies: RigidBodies, body: int, frame: FloatArray
 ) -> FloatArray:
     """Return a world frame relative to the principal axes of a body ``(7,)``."""
     pose = bodies.poses[body].at(bodies.begin)
     principal_frame = to_parent_frame(pose, bodies.kind_of(body).principal_frame)
-    return relative_frame(principal_frame, frame)
+    return relative_pose(principal_frame, frame)
 
 
 def _limit_parameters(model: RigidJointModel, name: str, location: str) -> list[float]:

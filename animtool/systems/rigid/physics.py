@@ -17,6 +17,7 @@ from animtool.motion.physics import (
     PhysicsBody,
     PhysicsJoint,
     PhysicsShape,
+    relative_pose,
 )
 from animtool.sim.colliders import (
     Box,
@@ -36,7 +37,6 @@ from animtool.systems.rigid.joints import (
     JOINT_KINDS,
     BodyJoint,
     Joints,
-    relative_frame,
     to_body_frame,
     to_parent_frame,
 )
@@ -261,11 +261,11 @@ def stage_joints(
         if body_pair[1] not in dynamic_indices:
             continue
         parent, body = body_pair
-        frame_b = relative_frame(bodies.kind_of(body).principal_frame, frames[1])
+        frame_b = relative_pose(bodies.kind_of(body).principal_frame, frames[1])
         anchor = Poses()
         frame_a, parent_index = frames[0], dynamic_indices.get(parent, -1)
         if parent_index >= 0:
-            frame_a = relative_frame(bodies.kind_of(parent).principal_frame, frame_a)
+            frame_a = relative_pose(bodies.kind_of(parent).principal_frame, frame_a)
         elif parent >= 0:
             anchor = bodies.poses[parent]
         swing = (-1.0, -1.0) if joint.swing is None else joint.swing

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from fractions import Fraction
 from functools import cached_property
@@ -19,7 +19,6 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name, up_from_up
 from animtool.maths import so3, solids
-from animtool.rig.surfaces import Surface
 from animtool.usd.caches.reader import (
     PointReader,
     PointSample,
@@ -313,19 +312,6 @@ class StageContents:
     def bone_names(self) -> set[str]:
         """Names of meshes that visualize the bones of skeletons."""
         return {str(p.GetName()) for p in all_prims(self.stage) if is_bone_mesh(p)}
-
-    def surfaces_to_y_up(self, surfaces: Sequence[Surface]) -> tuple[Surface, ...]:
-        """Return meshes rotated to Y up, except skinned ones, which joints move."""
-        if self.up_rotation is None:
-            return tuple(surfaces)
-        matrix = np.eye(4)
-        matrix[:3, :3] = so3.to_matrix(self.up_rotation)
-        return tuple(
-            surface
-            if surface.skin is not None
-            else replace(surface, geom_bind=matrix @ surface.geom_bind)
-            for surface in surfaces
-        )
 
     def bound_colors(self, skeleton: str) -> dict[str, FloatArray]:
         """Return linear colors of skinned meshes by name.

@@ -13,7 +13,7 @@ from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, excerpt
 from animtool.core.rules import finding
 from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.composition import unresolved_arcs
+from animtool.usd.layers.dependencies import unresolved_arcs
 from animtool.usd.layers.faults import unit_and_axis_faults
 from animtool.usd.rigs.prims import stored_data
 

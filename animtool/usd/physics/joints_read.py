@@ -13,14 +13,18 @@ from pxr import UsdPhysics
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import excerpt
 from animtool.maths import so3
-from animtool.motion.physics import IDENTITY_POSE, JointDrive, PhysicsJoint
+from animtool.motion.physics import (
+    IDENTITY_POSE,
+    JointDrive,
+    PhysicsJoint,
+    relative_pose,
+)
 from animtool.usd.physics.stage import (
     AXIS_VECTORS,
     MAX_FORCE,
     MAX_NUMBER,
     PhysicsStage,
     is_body,
-    relative_pose,
 )
 from animtool.usd.rigs.layer import read_ball_limit
 from animtool.usd.rigs.prims import nearest_prim, self_and_ancestors

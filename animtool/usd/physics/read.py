@@ -14,7 +14,7 @@ from animtool.core.errors import counted, excerpt
 from animtool.core.names import numbered_names
 from animtool.maths import so3
 from animtool.maths.faces import triangulate
-from animtool.motion.physics import Physics, PhysicsBody, PhysicsShape
+from animtool.motion.physics import Physics, PhysicsBody, PhysicsShape, relative_pose
 from animtool.usd.caches.reader import PointReader, mesh_fault
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
@@ -25,7 +25,6 @@ from animtool.usd.physics.stage import (
     PhysicsStage,
     is_body,
     is_collider,
-    relative_pose,
 )
 from animtool.usd.rigs.prims import (
     decompose,

@@ -150,13 +150,6 @@ class PhysicsStage:
         return np.array([0.0, -EARTH_GRAVITY, 0.0])
 
 
-def relative_pose(frame: FloatArray, pose: FloatArray) -> FloatArray:
-    """Return a world pose ``(7,)`` relative to a frame ``(7,)``."""
-    inverse_rotation = so3.conjugate(frame[3:])
-    position = so3.rotate(inverse_rotation, pose[:3] - frame[:3])
-    return np.concatenate([position, so3.multiply(inverse_rotation, pose[3:])])
-
-
 def is_body(prim: Any) -> bool:
     """Return whether a prim is a rigid body."""
     is_enabled = prim.GetAttribute("physics:rigidBodyEnabled").Get()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 from pxr import Usd, UsdSkel
@@ -59,40 +59,17 @@ class RigJointMap:
 
     def map_motion(self, motion: Motion) -> Motion:
         """Map a take's motion to the rig; joints that the take lacks stay at rest."""
-        scales = motion.scales
-        mapped_scales = None
-        if scales is not None or (self.rest_scales != 1.0).any():
-            if scales is None:
-                empty_values = np.zeros((motion.frames, 0, 3))
-                mapped_scales = Channel(self.rest_scales, _NO_JOINTS, empty_values)
-            else:
-                mapped_scales = self._map_channel(scales, self.rest_scales)
-        return Motion(
-            self._map_channel(motion.translations, self.rig.rest_translations),
-            self._map_channel(motion.rotations, self.rig.rest_rotations),
-            mapped_scales,
-            motion.weights,
-            motion.controls,
-            motion.track_times,
-            motion.points,
-        )
-
-    def _map_channel(self, channel: Channel, rest: FloatArray) -> Channel:
-        """Return a channel of the take's joints as one of the rig's joints."""
-        is_mapped = self.source_joints >= 0
-        rest_values = rest.copy()
-        rest_values[is_mapped] = channel.rest[self.source_joints[is_mapped]]
-        columns_by_joint = {int(joint): i for i, joint in enumerate(channel.animated)}
-        animated_joints = [
-            j
-            for j, s in enumerate(self.source_joints.tolist())
-            if s in columns_by_joint
-        ]
-        columns = [
-            columns_by_joint[int(self.source_joints[j])] for j in animated_joints
-        ]
-        return Channel(
-            rest_values, np.array(animated_joints, np.int64), channel.values[:, columns]
+        joints, rig, scales = self.source_joints, self.rig, motion.scales
+        if scales is not None:
+            scales = scales.reorder(joints, self.rest_scales)
+        elif (self.rest_scales != 1.0).any():
+            empty_values = np.zeros((motion.frames, 0, 3))
+            scales = Channel(self.rest_scales, _NO_JOINTS, empty_values)
+        return replace(
+            motion,
+            translations=motion.translations.reorder(joints, rig.rest_translations),
+            rotations=motion.rotations.reorder(joints, rig.rest_rotations),
+            scales=scales,
         )
 
 

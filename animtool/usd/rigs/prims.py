@@ -23,8 +23,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import CHANNEL_NAMES, Joint, Rig
-from animtool.usd.layers.composition import unresolved_arcs
-from animtool.usd.layers.dependencies import open_composed
+from animtool.usd.layers.dependencies import open_composed, unresolved_arcs
 from animtool.usd.layers.faults import (
     MAX_RATE_OR_UNIT,
     MIN_RATE_OR_UNIT,

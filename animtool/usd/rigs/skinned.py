@@ -12,6 +12,7 @@ from pxr import Kind, Sdf, Usd, UsdGeom, UsdSkel
 from animtool.core.arguments import flag
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, listed
+from animtool.core.names import unused_name
 from animtool.rig.kinematics import WorldTransforms
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.rigs.prims import (
@@ -123,9 +124,7 @@ def prim_name(prim: Any) -> str:
 
 def unique_name(name: str, used_names: set[str]) -> str:
     """Return a unique name, numbered if needed, and add it to the used names."""
-    unique, number = name, 2
-    while unique in used_names:
-        unique, number = f"{name}_{number}", number + 1
+    unique = unused_name(name, used_names)
     used_names.add(unique)
     return unique
 

@@ -20,7 +20,7 @@ from animtool.rig.file import parse_rig
 from animtool.rig.kinematics import rest_size
 from animtool.rig.parts import AttachKind, Attachment, LoadedArray, Mesh, Shape
 from animtool.rig.skeleton import Joint, Pose, Rig
-from animtool.usd.layers.composition import unresolved_hint
+from animtool.usd.layers.dependencies import unresolved_hint
 from animtool.usd.layers.faults import PrimLocation, matrix_array
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings

@@ -16,7 +16,7 @@ from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.composition import unresolved_hint
+from animtool.usd.layers.dependencies import unresolved_hint
 from animtool.usd.layers.names import RigPaths, UsdNames, replace_prefix
 from animtool.usd.layers.sdf import check_prim_path, usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings

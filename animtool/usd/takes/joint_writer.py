@@ -15,7 +15,7 @@ from animtool import _kernels
 from animtool.core.array_types import BoolArray, Float32Array, FloatArray
 from animtool.core.record import dataclass
 from animtool.maths import so3
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Motion, TimedBlocks, split_blocks
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.finite import ValueLabels, narrow_floats
 from animtool.usd.layers.jobs import RootPath, RoundingError, WrittenBlock
@@ -34,7 +34,7 @@ MAX_DENSE_JOINTS = 1 << 17
 
 
 def round_blocks(
-    blocks: Iterator[tuple[FloatArray, Motion]],
+    blocks: TimedBlocks,
     rig: Rig,
     meters_per_unit: float,  # unit of the layer [m]
     *,
@@ -45,7 +45,9 @@ def round_blocks(
 
     ``rig_scale`` is the scale of the rig on its stage; errors are in stage metres.
     """
-    for codes, motion in _split_blocks(blocks, len(rig.joints)):
+    # A clip is a single block.
+    block_frames = max(1, MAX_DENSE_JOINTS // max(len(rig.joints), 1))
+    for codes, motion in split_blocks(blocks, block_frames):
         translations, rotations, scales = motion.dense()
         translations /= meters_per_unit
         root_trajectory = None
@@ -89,17 +91,6 @@ def round_blocks(
             _round_weights(motion, rig, codes),
             scales is not None and bool((scales != stored_scales).any()),
         )
-
-
-def _split_blocks(
-    blocks: Iterator[tuple[FloatArray, Motion]], joint_count: int
-) -> Iterator[tuple[FloatArray, Motion]]:
-    """Yield blocks of at most `MAX_DENSE_JOINTS`, since a clip is a single block."""
-    block_frames = max(1, MAX_DENSE_JOINTS // max(joint_count, 1))
-    for codes, motion in blocks:
-        for start in range(0, len(codes), block_frames):
-            frames = slice(start, start + block_frames)
-            yield codes[frames], motion.select(frames)
 
 
 def _round_weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:

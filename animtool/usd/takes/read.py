@@ -27,7 +27,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import AttachKind, Shape
 from animtool.rig.placement import Placement
 from animtool.rig.skeleton import Rig
-from animtool.usd.layers.composition import unresolved_hint
+from animtool.usd.layers.dependencies import unresolved_hint
 from animtool.usd.layers.faults import PrimLocation
 from animtool.usd.layers.sdf import usd_errors
 from animtool.usd.layers.stderr import without_usd_warnings

@@ -10,6 +10,7 @@ from typing import Any
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
 from animtool.core.files.reading import matching_files
+from animtool.core.names import unused_name
 from animtool.core.readers import DOCUMENT, READERS
 from animtool.documents.document import (
     Location,
@@ -190,10 +191,7 @@ def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
     other_names = {*names, *legal_names}
     for name in old_names:
         used_names = {*other_names, *new_names.values()}
-        candidate, number = legal_usd_name(name), 2
-        while candidate in used_names:
-            candidate, number = (f"{legal_usd_name(name)}_{number}", number + 1)
-        new_names[name] = candidate
+        new_names[name] = unused_name(legal_usd_name(name), used_names)
     return new_names
 
 

@@ -12,6 +12,7 @@ from numpy.testing import assert_allclose
 from support.rigid import Rigid, box
 
 from animtool.maths import so3
+from animtool.motion.physics import relative_pose
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.joints import (
     JOINT_KINDS,
@@ -20,7 +21,6 @@ from animtool.systems.rigid.joints import (
     _drive_parameters,
     _limit_parameters,
     joint_forces_and_torques,
-    relative_frame,
     swap_bodies,
     to_parent_frame,
 )
@@ -90,7 +90,7 @@ def test_frames_are_seen_and_placed_back() -> None:
     turn = so3.from_axis_angle(np.array([0.0, 0.0, 1.0]), np.pi / 2)
     pose = np.array([1.0, 2.0, 3.0, *turn])
     frame = np.array([1.0, 5.0, 3.0, *so3.IDENTITY])
-    seen = relative_frame(pose, frame)
+    seen = relative_pose(pose, frame)
     assert_allclose(seen, [3, 0, 0, *so3.conjugate(turn)], atol=1e-12)
     assert_allclose(to_parent_frame(pose, seen), frame, atol=1e-12)
 

@@ -14,8 +14,9 @@ from animtool.core.errors import FormatError
 from animtool.core.files.reading import FileState, recorded_inputs
 from animtool.usd.checks import check_layer
 from animtool.usd.layers import sdf as layers
-from animtool.usd.layers.dependencies import open_composed
+from animtool.usd.layers.dependencies import open_composed, unresolved_arcs
 from animtool.usd.layers.sdf import open_layer
+from animtool.usd.layers.stderr import without_usd_warnings
 
 HEAD = '#usda 1.0\n(\nupAxis = "Y"\nmetersPerUnit = 1\n{}\n)\n'
 CLIPS = """(clips = {{dictionary default = {{
@@ -148,3 +149,40 @@ def test_a_layer_that_changes_after_it_was_opened_is_found(
     assert inputs.states[inner.resolve()] != FileState.of(inner)
     with raises(FormatError, "IO004"):
         inputs.check()
+
+
+ARC = '#usda 1.0\ndef "A" ({arc}) {{}}\n'
+
+
+@pytest.mark.parametrize(
+    ("arc", "text"),
+    [
+        ("references = @sets/a.usda@", "reference 'sets/a.usda' cannot be opened"),
+        ("payload = @a.usda@", "payload 'a.usda' cannot be opened"),
+        ("references = @./other.usda@</B>", "reference 'other.usda' has no prim /B"),
+        (
+            "references = @./other.usda@",
+            "reference 'other.usda' names no prim, and it has no default prim",
+        ),
+        ("references = @./shot.usda@</A>", "its references lead back to itself"),
+    ],
+)
+def test_arcs(
+    tmp_path: Path, arc: str, text: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "other.usda").write_text('#usda 1.0\ndef "C" {}\n', "utf-8")
+    (tmp_path / "shot.usda").write_text(ARC.format(arc=arc), "utf-8")
+    with without_usd_warnings():
+        stage = Usd.Stage.Open(str(tmp_path / "shot.usda"))
+    assert list(unresolved_arcs(stage)) == [("/A", text)]
+    assert capfd.readouterr().err == ""
+
+
+def test_sublayers(tmp_path: Path) -> None:
+    shot = tmp_path / "shot.usda"
+    shot.write_text("#usda 1.0\n(\n    subLayers = [@./gone.usda@]\n)\n", "utf-8")
+    with without_usd_warnings():
+        stage = Usd.Stage.Open(str(shot))
+    assert list(unresolved_arcs(stage)) == [
+        ("/", "sublayer 'gone.usda' cannot be opened")
+    ]
