@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.attached import sheet_rig, take_of
+from support.attached import sheet_rig, simulate, take_of
 
 from animtool.motion.take import TakeStream
 from animtool.rig.parts import LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.colliders import ClothMotion
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.take_pass import simulate
 from animtool.systems.framework.meter import ClosedSurface, count_pierced_pairs
 
 SIZE = 10
