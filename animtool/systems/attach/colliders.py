@@ -25,14 +25,12 @@ from animtool.systems.framework.meter import (
     collider_depths,
 )
 from animtool.systems.springs.motion import TimeGrid
-from animtool.systems.springs.solvers import (
-    CellColliders,
-    PosedColliders,
-    cell_colliders,
-)
+from animtool.systems.springs.solvers import CellColliders, cell_colliders
 
 # Speed at which particles that start inside a collider are moved out [m/s].
 DEPENETRATION_SPEED = 1.0
+# Particles that start deeper than this in a collider count as unresolved [m].
+UNRESOLVED_DEPTH = 1e-3
 
 
 @dataclass(eq=False)
@@ -129,8 +127,9 @@ class CharacterColliders:
         self._colliders = Colliders(rigid_colliders, sheets, world.bodies)
         # First index and count of the character's rigid colliders.
         self.character_range = len(world), len(capsules)
-        capsule_rows = slice(len(world), len(self._colliders))
-        self._sizes = self._colliders.kernel_arrays(0.0, 0.0)[1][capsule_rows].copy()
+        self._capsule_rows = slice(len(world), len(self._colliders))
+        all_sizes = self._colliders.kernel_arrays(0.0, 0.0)[1]
+        self._sizes = all_sizes[self._capsule_rows].copy()
         self._sizes[:, 6] = capsules.world_radii(start.world)
         # Capsules may be thicker than the body: points of it that start inside at bind
         # may stay that deep. Allowed signed distances, at most 0 ``(C, N)`` [m].
@@ -142,7 +141,7 @@ class CharacterColliders:
             depths[c] = np.minimum(distances, 0.0)
         self._allowed_depths = scale * depths
         rigid_depths = np.zeros((len(self._colliders.rigid_colliders), len(points)))
-        rigid_depths[capsule_rows] = self._allowed_depths
+        rigid_depths[self._capsule_rows] = self._allowed_depths
         targets = body.targets(start)[0]
         skin_depths = [
             contact_offsets(
@@ -188,17 +187,23 @@ class CharacterColliders:
 
     def kernel_arguments(
         self, frame_poses: FramePoses, grid: TimeGrid, step_count: int
-    ) -> CellColliders:
+    ) -> CellColliders | None:
         """Return kernel arguments for the cells of a frame; None without colliders."""
+        if not self._colliders.has_any and not self._skins:
+            return None
+        cells = cell_colliders(self._colliders, self._radius, grid, step_count)
         world = frame_poses.sample(step_count).world
-        rows, ends = self._capsules.joint_poses_and_ends(world)
-        sizes = self._sizes.copy()
-        sizes[:, :6] = ends.reshape(-1, 6)
-        poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        skins = self._kernel_skins(frame_poses, step_count)
-        posed_colliders = PosedColliders(sizes, poses, self._depths, skins)
-        return cell_colliders(
-            self._colliders, self._radius, grid, step_count, posed_colliders
+        poses, ends = self._capsules.joint_poses_and_ends(world)
+        kinds, all_sizes, *materials = cells.arrays
+        sizes, rows = all_sizes.copy(), self._capsule_rows
+        sizes[rows] = self._sizes
+        sizes[rows, :6] = ends.reshape(-1, 6)
+        cells.poses[:, rows] = np.stack([poses[:-1], poses[1:]], axis=2)
+        return cells._replace(
+            arrays=(kinds, sizes, *materials),
+            depths=np.pad(self._depths, ((0, len(cells.surfaces)), (0, 0))),
+            max_depth=UNRESOLVED_DEPTH,
+            surfaces=[*self._kernel_skins(frame_poses, step_count), *cells.surfaces],
         )
 
     def _kernel_skins(

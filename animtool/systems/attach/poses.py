@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -113,19 +114,19 @@ class CycleShift:
     rotation: FloatArray  # rotation about the up axis through the origin ``(4,)``
 
 
-def cycle_travel(rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]) -> CycleShift:
+def cycle_travel(rig: Rig, up: FloatArray, poses: Sequence[LocalPose]) -> CycleShift:
     """Return the travel of a cycle, from its first two poses and its last two.
 
     The travel is zero if the first root returns to its start. Otherwise, the
     step from the last frame to the next cycle has the mean speed of both ends.
     """
-    root = rig.roots[0]
-    first, second, second_last, last = (pose.translations[root] for pose in poses)
+    root, ends = rig.roots[0], (poses[0], poses[:2][-1], poses[-2:][0], poses[-1])
+    first, second, second_last, last = (pose.translations[root] for pose in ends)
     start_step, end_step = second - first, last - second_last
     max_step = max(np.linalg.norm(start_step), np.linalg.norm(end_step))
     if np.linalg.norm(last - first) <= STATIONARY_STEPS * max_step + 1e-9:
         return CycleShift(np.zeros(3), so3.IDENTITY)
-    rotations = [pose.rotations[root] for pose in poses]
+    rotations = [pose.rotations[root] for pose in ends]
     next_rotation = so3.multiply(
         rotations[3], so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     )

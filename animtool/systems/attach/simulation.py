@@ -303,11 +303,7 @@ class AttachSimulation:
         """Return a cycle in which all attachments end in the state they start in."""
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
-        if count == 1:
-            travel = CycleShift(np.zeros(3), so3.IDENTITY)
-        else:
-            end_poses = (poses[0], poses[1], poses[-2], poses[-1])
-            travel = cycle_travel(self.rig, up_direction(self.rig), end_poses)
+        travel = cycle_travel(self.rig, up_direction(self.rig), poses)
         poses.append(advance_cycle(self.rig, poses[0], travel))
         self._advanced_frame_count, self._total_frame_count = (
             0,
