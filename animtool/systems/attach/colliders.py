@@ -24,6 +24,7 @@ from animtool.systems.framework.meter import (
     closed_surfaces,
     collider_depths,
 )
+from animtool.systems.springs.constraints import TimedPositions, position_at
 from animtool.systems.springs.motion import TimeGrid
 from animtool.systems.springs.solvers import CellColliders, cell_colliders
 
@@ -41,19 +42,11 @@ class ClothMotion:
     """
 
     faces: IntArray  # triangles ``(T, 3)``
-    begin: FloatArray  # points at the start of the frame ``(N, 3)`` [m]
-    end: FloatArray  # points at the end of the frame ``(N, 3)`` [m]
-    times: tuple[float, float] = (0.0, 0.0)  # start and end of the frame [s]
+    path: TimedPositions  # points at the start and end of the frame ``(2, N, 3)`` [m]
 
     def points(self, t: float) -> FloatArray:
         """Return the points at a time [s] ``(N, 3)`` [m]."""
-        first, last = self.times
-        if t >= last:
-            return self.end
-        if t <= first:
-            return self.begin
-        fraction = (t - first) / (last - first)
-        return self.begin + fraction * (self.end - self.begin)
+        return position_at(self.path, t)
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
         """Return the constant triangles ``(T, 3)``."""
@@ -156,8 +149,8 @@ class CharacterColliders:
         self._skins = skins
         self._skin_material = (0.0, friction, margin, DEPENETRATION_SPEED, SPEED_LIMIT)
         self._skin_kernels: list[Any] = []
-        # Whether no two points of a skin coincide.
-        self._has_distinct_points: list[bool] = []
+        # The same, or None for skins in which points coincide.
+        self._solid_kernels: list[Any] = []
         self._skin_solids: list[ClosedSurface] = []  # skins at the end of a frame
         self._cloth_motions = [layer.motion for layer in layers]
 
@@ -216,16 +209,16 @@ class CharacterColliders:
                 _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))
                 for skin, rows in zip(self._skins, points, strict=True)
             ]
-            self._has_distinct_points = [
-                len(np.unique(rows[0], axis=0)) == rows.shape[1] for rows in points
+            self._solid_kernels = [
+                kernel if len(np.unique(rows[0], axis=0)) == rows.shape[1] else None
+                for kernel, rows in zip(self._skin_kernels, points, strict=True)
             ]
-        kernels, distinct = self._skin_kernels, self._has_distinct_points
-        skins = zip(self._skins, points, kernels, distinct, strict=True)
+        solids = zip(self._skins, points, self._solid_kernels, strict=True)
         self._skin_solids = [
-            ClosedSurface(rows[-1], skin.triangles, kernel if is_distinct else None)
-            for skin, rows, kernel, is_distinct in skins
+            ClosedSurface(rows[-1], skin.triangles, kernel)
+            for skin, rows, kernel in solids
         ]
         return [
             (kernel, rows, self._skin_material, 1, 0)
-            for kernel, rows in zip(kernels, points, strict=True)
+            for kernel, rows in zip(self._skin_kernels, points, strict=True)
         ]
