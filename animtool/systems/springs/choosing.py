@@ -221,7 +221,7 @@ def trial_settings(
         )
     ]
     # Finer steps of bdf2, of explicit Euler, and of the chosen solver.
-    solvers = (REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER)
+    solvers: tuple[str, ...] = (REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER)
     steps = {name: default_steps[name] for name in solvers if name in default_steps}
     if REFERENCE_SOLVER in steps:
         steps[REFERENCE_SOLVER] = min(current["step"], steps[REFERENCE_SOLVER])
