@@ -14,7 +14,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.sim.colliders import Collider, Colliders
+from animtool.sim.colliders import Colliders
 from animtool.systems.framework.body_carriers import CarrierStep
 from animtool.systems.springs.body_coupling import CoupledCell, CoupledSprings
 from animtool.systems.springs.choosing import SolverChoice
@@ -63,7 +63,7 @@ def cell_colliders(
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
     poses = np.zeros((count, len(colliders.rigid_colliders), 2, 7))
     for i, collider in enumerate(colliders):
-        poses[:, i] = _poses_at_ends(collider, edges)
+        poses[:, i] = collider.end_poses(edges)
     for cell, (begin, end) in enumerate(pairwise(edges.tolist())):
         poses[cell, len(colliders) :] = colliders.body_end_poses(begin, end)
     start = float(edges[0])
@@ -72,23 +72,6 @@ def cell_colliders(
         grid.origin, grid.cell, grid.index, count
     )
     return CellColliders(arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces)
-
-
-def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:
-    """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
-    times, rows = collider.poses.sample_times, collider.poses.rows
-    poses = collider.poses.at_times(edges)
-    intervals = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
-    is_teleport = np.append(collider.teleports, False)
-    # Within a teleport, a collider stays where it was.
-    stays = is_teleport[intervals]
-    poses[stays] = rows[intervals[stays]]
-    ends = np.stack([poses[:-1], poses[1:]], axis=1)
-    # A collider that teleports within a cell is at its goal from the start of it.
-    teleport_counts = np.cumsum(np.append(0, is_teleport))[intervals]
-    has_teleported = teleport_counts[1:] > teleport_counts[:-1]
-    ends[has_teleported, 0] = ends[has_teleported, 1]
-    return ends
 
 
 @dataclass(frozen=True, slots=True)
