@@ -12,7 +12,6 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders, Sheet
@@ -62,11 +61,6 @@ STEERING_FREQUENCY = 40.0
 MIN_CELLS, MAX_CELLS = 5, 8
 
 
-def up_direction(rig: Rig) -> FloatArray:
-    """Return the up direction of a rig ``(3,)``."""
-    return np.asarray(np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[rig.up]])
-
-
 class AttachmentActor:
     """Simulates one attachment of a rig, frame by frame."""
 
@@ -93,7 +87,7 @@ class AttachmentActor:
         # Rotations have a determinant of 1 up to rounding.
         scale = scale if abs(scale - 1) > 1e-9 else 1.0
         network = replace(body.network, points=scale * body.network.points)
-        down = -up_direction(rig)
+        down = -np.array(rig.up.vector)
         self._plan = build_plan(network, settings, down, frame_duration)
         self._cells_per_frame = round(frame_duration / self._plan.choice.cell)
         self.steps_per_frame = self._cells_per_frame * self._plan.choice.substeps

@@ -19,11 +19,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.parts import AttachKind
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import (
-    AttachmentActor,
-    CycleSteering,
-    up_direction,
-)
+from animtool.systems.attach.actor import AttachmentActor, CycleSteering
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.chains import chain_rotations
 from animtool.systems.attach.colliders import CollisionSurroundings
@@ -294,7 +290,7 @@ class AttachSimulation:
         """Return a cycle in which all attachments end in the state they start in."""
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
-        travel = cycle_travel(self.rig, up_direction(self.rig), poses)
+        travel = cycle_travel(self.rig, poses)
         poses.append(advance_cycle(self.rig, poses[0], travel))
         tolerance = parse_length(self.options.loop_tolerance)
         max_repeats = self.options.loop_repeats
