@@ -18,6 +18,7 @@ from measuring import ROOT, begin, parser
 
 import animtool
 from animtool.motion.motion import Motion
+from animtool.motion.passes import PassContext
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.file import load_rig
 from animtool.systems.attach.settings import SimulateOptions
@@ -59,7 +60,9 @@ def dance(frames: int) -> Take:
 def cape(take: Take, **options: Any) -> dict[str, float]:
     """Return what one run took, and the worst of all frames."""
     began = now()
-    stream = simulate(TakeStream.of(take), SimulateOptions(("cape",), **options))
+    context = PassContext(lambda _: take, ROOT)
+    asked = SimulateOptions(("cape",), **options)
+    stream = simulate(TakeStream.of(take), asked, context)
     for _ in stream.blocks:
         pass
     taken = since(began)

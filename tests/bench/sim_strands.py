@@ -18,6 +18,7 @@ from measuring import ROOT, begin, parser
 
 import animtool
 from animtool import _kernels
+from animtool.motion.passes import PassContext
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.file import load_rig
 from animtool.rig.parts import LoadedArray
@@ -85,7 +86,8 @@ def once(take: Take, **options: Any) -> dict[str, float]:
     try:
         began = now()
         asked = SimulateOptions(what=("hair",), **options)
-        stream = simulate(TakeStream.of(take), asked)
+        context = PassContext(lambda _: take, ROOT)
+        stream = simulate(TakeStream.of(take), asked, context)
         for _ in stream.blocks:
             pass
         taken = since(began)

@@ -4,22 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from fractions import Fraction
+from pathlib import Path
 
 import numpy as np
 
 from animtool.core.clock import Clock
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
+from animtool.motion.passes import PassContext
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.parts import Attachment, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Joint, JointType, Rig
+from animtool.systems.attach import take_pass
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.take_pass import simulate
 
 __all__ = [
     "GRAVITY",
     "moved",
     "sheet_rig",
+    "simulate",
     "simulated",
     "strands_rig",
     "tail_rig",
@@ -110,6 +113,12 @@ def take_of(
         Channel.from_dense(so3.align_signs(rotations)),
     )
     return Take(rig, Clock(Fraction(fps), Fraction(1), Fraction(1), count), motion)
+
+
+def simulate(stream: TakeStream, options: SimulateOptions) -> TakeStream:
+    """Return a take with what options name simulated, outside of any scene."""
+    context = PassContext(lambda _: stream.collect(), Path())
+    return take_pass.simulate(stream, options, context)
 
 
 def simulated(take: Take, blocks: int = 1, **options: object) -> tuple[Take, list[str]]:

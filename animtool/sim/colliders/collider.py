@@ -160,25 +160,23 @@ class Collider(Contact, CheckedRecord):
             return self
         return replace(self, shape=replace(self.shape, closed=True))
 
-    def pose(self, t: float) -> FloatArray:
-        """Return the pose ``(7,)`` at a time [s]; in a teleport, the pose before it."""
-        key_times = self.poses.sample_times
-        i = int(np.searchsorted(key_times, t, side="right")) - 1
-        if 0 <= i < len(self.teleports) and self.teleports[i]:
-            row: FloatArray = self.poses.rows[i]
-            return row
-        return self.poses.at(t)
-
-    def end_poses(self, t0: float, t1: float) -> FloatArray:
-        """Return the poses of the collider ``(2, 7)`` at both ends of a step."""
-        if self.teleports.any() and self._has_teleported(t0, t1):
-            return np.stack([self.pose(t1)] * 2)
-        return np.stack([self.pose(t0), self.pose(t1)])
-
-    def _has_teleported(self, t0: float, t1: float) -> bool:
-        """Return whether a teleport ends within a step [s]."""
-        end_times = self.poses.sample_times[1:][self.teleports]
-        return bool(((end_times > t0) & (end_times <= t1)).any())
+    def end_poses(self, times: FloatArray) -> FloatArray:
+        """Return poses at both ends of the steps between times [s] ``(K, 2, 7)``."""
+        key_times, poses = self.poses.sample_times, self.poses.at_times(times)
+        if not self.teleports.any():
+            return np.stack([poses[:-1], poses[1:]], axis=1)
+        intervals = np.searchsorted(key_times, times, "right") - 1
+        intervals = np.clip(intervals, 0, len(key_times) - 1)
+        is_teleport = np.append(self.teleports, False)
+        # Within a teleport, a collider stays where it was.
+        stays = is_teleport[intervals]
+        poses[stays] = self.poses.rows[intervals[stays]]
+        ends = np.stack([poses[:-1], poses[1:]], axis=1)
+        # A collider that teleports within a step is at its goal from the start of it.
+        teleport_counts = np.cumsum(np.append(0, is_teleport))[intervals]
+        has_teleported = teleport_counts[1:] > teleport_counts[:-1]
+        ends[has_teleported, 0] = ends[has_teleported, 1]
+        return ends
 
     def problems(self) -> list[tuple[str, str]]:
         """Return the names of invalid options, each with a message."""

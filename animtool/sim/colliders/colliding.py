@@ -176,9 +176,9 @@ class Colliders(Sequence[Collider]):
 
     def kernel_arrays(self, t0: float, t1: float) -> tuple[Any, ...]:
         """Return the kernel's arrays for a step between two times [s]."""
-        poses = self._poses.copy()
+        poses, times = self._poses.copy(), np.array([t0, t1])
         for i in self._moving_indices:
-            poses[i] = self._colliders[i].end_poses(t0, t1)
+            (poses[i],) = self._colliders[i].end_poses(times)
         poses[len(self) :] = self.body_end_poses(t0, t1)
         return self._kinds, self._sizes, self._materials, poses, *self._meshes
 

@@ -12,7 +12,6 @@ import numpy as np
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
-from animtool.core.units import UpAxis
 from animtool.maths import so3
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders, Sheet
@@ -29,7 +28,7 @@ from animtool.systems.attach.colliders import (
     CollisionSurroundings,
 )
 from animtool.systems.attach.poses import LocalPose, interpolate_poses
-from animtool.systems.attach.settings import AttachSettings
+from animtool.systems.attach.settings import AttachSettings, SimulateOptions
 from animtool.systems.attach.skins import FramePoses, SkinSurface, skin_margin
 from animtool.systems.framework.bounds import MAX_FRAME_VALUE
 from animtool.systems.framework.meter import ContactMeter, MeasuredSurface
@@ -62,11 +61,6 @@ STEERING_FREQUENCY = 40.0
 MIN_CELLS, MAX_CELLS = 5, 8
 
 
-def up_direction(rig: Rig) -> FloatArray:
-    """Return the up direction of a rig ``(3,)``."""
-    return np.asarray(np.eye(3)[{UpAxis.Y: 1, UpAxis.Z: 2}[rig.up]])
-
-
 class AttachmentActor:
     """Simulates one attachment of a rig, frame by frame."""
 
@@ -74,7 +68,7 @@ class AttachmentActor:
         self,
         rig: Rig,
         body: AttachedBody,
-        settings: AttachSettings,
+        options: SimulateOptions,
         frame_duration: float,
         pose: LocalPose,
         skins: Sequence[SkinSurface],
@@ -85,15 +79,15 @@ class AttachmentActor:
 
         ``layers`` are cloth surfaces that are simulated before this attachment.
         """
-        self.body, self.settings = body, settings
-        self._rig = rig
+        self.body, self._rig = body, rig
+        settings = self.settings = AttachSettings.from_options(options, body.kind)
         start_samples = interpolate_poses(rig, pose, pose, 1)
         volume = abs(np.linalg.det(start_samples.world.linear[0, body.carrier]))
         scale = float(np.cbrt(volume))
         # Rotations have a determinant of 1 up to rounding.
         scale = scale if abs(scale - 1) > 1e-9 else 1.0
         network = replace(body.network, points=scale * body.network.points)
-        down = -up_direction(rig)
+        down = -np.array(rig.up.vector)
         self._plan = build_plan(network, settings, down, frame_duration)
         self._cells_per_frame = round(frame_duration / self._plan.choice.cell)
         self.steps_per_frame = self._cells_per_frame * self._plan.choice.substeps
@@ -105,12 +99,12 @@ class AttachmentActor:
         thickness = 0.0 if self_contact is None else self_contact.thickness
         # Without triangles there are no sides of cloth, and without self-contact and
         # skins no piercing to count.
-        is_cloth, can_pierce = len(network.triangles) > 0, bool(thickness or skins)
+        edge_count = len(network.structural) if len(network.triangles) else 0
         self._measured_surface = MeasuredSurface.of_edges(
-            network.structural if is_cloth else network.structural[:0],
-            network.rest_lengths if is_cloth else network.rest_lengths[:0],
+            network.structural[:edge_count],
+            network.rest_lengths[:edge_count],
             network.is_pinned,
-            network.triangles if can_pierce else network.triangles[:0],
+            network.triangles if thickness or skins else network.triangles[:0],
         )
         margin = skin_margin(network.median_edge_length, settings.radius)
         self._colliders = CharacterColliders(
@@ -123,7 +117,8 @@ class AttachmentActor:
         self.grid = self._plan.start(0.0, at_rest(positions))
         self.tangle_warnings: list[Fault] = []
         # Cloth with self-contact, as a collider of later attachments.
-        self._cloth_motion = ClothMotion(network.triangles, positions, positions)
+        path = np.zeros(2), np.stack([positions, positions])
+        self._cloth_motion = ClothMotion(network.triangles, path)
         self.sheet: Sheet | None = None
         if thickness:
             subject = f"the cloth {body.name}"
@@ -150,8 +145,8 @@ class AttachmentActor:
 
     def _move_sheet(self, times: tuple[float, float], begin: FloatArray) -> None:
         """Set the motion of the attachment's own cloth collider over a frame."""
-        motion = self._cloth_motion
-        motion.begin, motion.end, motion.times = begin, self.positions, times
+        points = np.stack([begin, self.positions])
+        self._cloth_motion.path = np.array(times), points
 
     def advance_frame(
         self, frame_poses: FramePoses, frame: int, steering: CycleSteering | None = None
@@ -176,12 +171,13 @@ class AttachmentActor:
             grid = replace(grid, index=0, state=state)
         end = plan.advance(grid, cells, colliders)
         check_motion(end.state.motion)
-        self.grid, surface = end, self._measured_surface
         if not plan.system.body.strands:
             # Compliance is included, as in the strain that kernels measure for strands.
+            surface = self._measured_surface
             strains = surface.lengths(end.state.motion[0]) / surface.rest_lengths - 1
             max_strain = max(grid.max_strain, float(strains.max(initial=0.0)))
-            self.grid = replace(end, max_strain=max_strain)
+            end = replace(end, max_strain=max_strain)
+        self.grid = end
         self.animated_positions = targets[-1]
         self._joint_transforms = motion.world
         self._time = (frame + 1) * self._frame_duration

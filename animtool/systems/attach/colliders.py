@@ -24,15 +24,14 @@ from animtool.systems.framework.meter import (
     closed_surfaces,
     collider_depths,
 )
+from animtool.systems.springs.constraints import TimedPositions, position_at
 from animtool.systems.springs.motion import TimeGrid
-from animtool.systems.springs.solvers import (
-    CellColliders,
-    PosedColliders,
-    cell_colliders,
-)
+from animtool.systems.springs.solvers import CellColliders, cell_colliders
 
 # Speed at which particles that start inside a collider are moved out [m/s].
 DEPENETRATION_SPEED = 1.0
+# Particles that start deeper than this in a collider count as unresolved [m].
+UNRESOLVED_DEPTH = 1e-3
 
 
 @dataclass(eq=False)
@@ -43,19 +42,11 @@ class ClothMotion:
     """
 
     faces: IntArray  # triangles ``(T, 3)``
-    begin: FloatArray  # points at the start of the frame ``(N, 3)`` [m]
-    end: FloatArray  # points at the end of the frame ``(N, 3)`` [m]
-    times: tuple[float, float] = (0.0, 0.0)  # start and end of the frame [s]
+    path: TimedPositions  # points at the start and end of the frame ``(2, N, 3)`` [m]
 
     def points(self, t: float) -> FloatArray:
         """Return the points at a time [s] ``(N, 3)`` [m]."""
-        first, last = self.times
-        if t >= last:
-            return self.end
-        if t <= first:
-            return self.begin
-        fraction = (t - first) / (last - first)
-        return self.begin + fraction * (self.end - self.begin)
+        return position_at(self.path, t)
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
         """Return the constant triangles ``(T, 3)``."""
@@ -129,8 +120,9 @@ class CharacterColliders:
         self._colliders = Colliders(rigid_colliders, sheets, world.bodies)
         # First index and count of the character's rigid colliders.
         self.character_range = len(world), len(capsules)
-        capsule_rows = slice(len(world), len(self._colliders))
-        self._sizes = self._colliders.kernel_arrays(0.0, 0.0)[1][capsule_rows].copy()
+        self._capsule_rows = slice(len(world), len(self._colliders))
+        all_sizes = self._colliders.kernel_arrays(0.0, 0.0)[1]
+        self._sizes = all_sizes[self._capsule_rows].copy()
         self._sizes[:, 6] = capsules.world_radii(start.world)
         # Capsules may be thicker than the body: points of it that start inside at bind
         # may stay that deep. Allowed signed distances, at most 0 ``(C, N)`` [m].
@@ -142,7 +134,7 @@ class CharacterColliders:
             depths[c] = np.minimum(distances, 0.0)
         self._allowed_depths = scale * depths
         rigid_depths = np.zeros((len(self._colliders.rigid_colliders), len(points)))
-        rigid_depths[capsule_rows] = self._allowed_depths
+        rigid_depths[self._capsule_rows] = self._allowed_depths
         targets = body.targets(start)[0]
         skin_depths = [
             contact_offsets(
@@ -157,8 +149,8 @@ class CharacterColliders:
         self._skins = skins
         self._skin_material = (0.0, friction, margin, DEPENETRATION_SPEED, SPEED_LIMIT)
         self._skin_kernels: list[Any] = []
-        # Whether no two points of a skin coincide.
-        self._has_distinct_points: list[bool] = []
+        # The same, or None for skins in which points coincide.
+        self._solid_kernels: list[Any] = []
         self._skin_solids: list[ClosedSurface] = []  # skins at the end of a frame
         self._cloth_motions = [layer.motion for layer in layers]
 
@@ -188,17 +180,23 @@ class CharacterColliders:
 
     def kernel_arguments(
         self, frame_poses: FramePoses, grid: TimeGrid, step_count: int
-    ) -> CellColliders:
+    ) -> CellColliders | None:
         """Return kernel arguments for the cells of a frame; None without colliders."""
+        if not self._colliders.has_any and not self._skins:
+            return None
+        cells = cell_colliders(self._colliders, self._radius, grid, step_count)
         world = frame_poses.sample(step_count).world
-        rows, ends = self._capsules.joint_poses_and_ends(world)
-        sizes = self._sizes.copy()
-        sizes[:, :6] = ends.reshape(-1, 6)
-        poses = np.stack([rows[:-1], rows[1:]], axis=2)
-        skins = self._kernel_skins(frame_poses, step_count)
-        posed_colliders = PosedColliders(sizes, poses, self._depths, skins)
-        return cell_colliders(
-            self._colliders, self._radius, grid, step_count, posed_colliders
+        poses, ends = self._capsules.joint_poses_and_ends(world)
+        kinds, all_sizes, *materials = cells.arrays
+        sizes, rows = all_sizes.copy(), self._capsule_rows
+        sizes[rows] = self._sizes
+        sizes[rows, :6] = ends.reshape(-1, 6)
+        cells.poses[:, rows] = np.stack([poses[:-1], poses[1:]], axis=2)
+        return cells._replace(
+            arrays=(kinds, sizes, *materials),
+            depths=np.pad(self._depths, ((0, len(cells.surfaces)), (0, 0))),
+            max_depth=UNRESOLVED_DEPTH,
+            surfaces=[*self._kernel_skins(frame_poses, step_count), *cells.surfaces],
         )
 
     def _kernel_skins(
@@ -211,16 +209,16 @@ class CharacterColliders:
                 _kernels.MeshSurface(rows[0], skin.triangles.astype(np.int32))
                 for skin, rows in zip(self._skins, points, strict=True)
             ]
-            self._has_distinct_points = [
-                len(np.unique(rows[0], axis=0)) == rows.shape[1] for rows in points
+            self._solid_kernels = [
+                kernel if len(np.unique(rows[0], axis=0)) == rows.shape[1] else None
+                for kernel, rows in zip(self._skin_kernels, points, strict=True)
             ]
-        kernels, distinct = self._skin_kernels, self._has_distinct_points
-        skins = zip(self._skins, points, kernels, distinct, strict=True)
+        solids = zip(self._skins, points, self._solid_kernels, strict=True)
         self._skin_solids = [
-            ClosedSurface(rows[-1], skin.triangles, kernel if is_distinct else None)
-            for skin, rows, kernel, is_distinct in skins
+            ClosedSurface(rows[-1], skin.triangles, kernel)
+            for skin, rows, kernel in solids
         ]
         return [
             (kernel, rows, self._skin_material, 1, 0)
-            for kernel, rows in zip(kernels, points, strict=True)
+            for kernel, rows in zip(self._skin_kernels, points, strict=True)
         ]

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
+from animtool.edit.travel import FramePositions, vertical_twist
 from animtool.maths import so3
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.rig.kinematics import WorldTransforms, forward_kinematics
 from animtool.rig.skeleton import Rig
 from animtool.skin.character import CharacterMesh
@@ -29,8 +31,7 @@ class LocalPose:
     translations: FloatArray  # ``(J, 3)`` [m], parent space
     rotations: FloatArray  # ``(J, 4)``
     scales: FloatArray | None  # ``(J, 3)`` [1]; None is unscaled
-    # Shape weights ``(S,)`` [1]; None if the take has none.
-    weights: FloatArray | None
+    weights: FloatArray | None  # ``(S, 1)`` [1]; None if the take has none
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +57,7 @@ def pose_at(motion: Motion, frame: int) -> LocalPose:
         translations[0],
         rotations[0],
         None if scales is None else scales[0],
-        None if weights is None else weights.dense()[0, :, 0],
+        None if weights is None else weights.dense()[0],
     )
 
 
@@ -69,29 +70,21 @@ def interpolate_poses(
     blur.
     """
     fractions = np.arange(step_count + 1) / step_count
-    translations = _lerp(before.translations, after.translations, fractions)
-    rotations = _slerp(before.rotations, after.rotations, fractions)
+    frames = np.arange(step_count + 1) // step_count
+    positions = FramePositions(frames, fractions - frames)
+
+    def sample(first: FloatArray, last: FloatArray) -> FloatArray:
+        channel = Channel.from_dense(np.stack([first, last]))
+        return positions.interpolate(channel).dense()
+
     scales, weights = (
-        None if a is None or b is None else _lerp(a, b, fractions)
+        None if a is None or b is None else sample(a, b)
         for a, b in ((before.scales, after.scales), (before.weights, after.weights))
     )
+    translations = sample(before.translations, after.translations)
+    rotations = sample(before.rotations, after.rotations)
     world = forward_kinematics(rig, translations, rotations, scales)
-    return PoseSamples(world, weights)
-
-
-def _lerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
-    values = a + (b - a) * fractions.reshape(-1, *(1,) * a.ndim)
-    values[-1] = b
-    return np.asarray(values)
-
-
-def _slerp(a: FloatArray, b: FloatArray, fractions: FloatArray) -> FloatArray:
-    rotations = np.repeat(a[None], len(fractions), axis=0)
-    changed_joints = np.flatnonzero((a != b).any(axis=-1))
-    before, after = a[changed_joints], b[changed_joints]
-    rotations[:, changed_joints] = so3.slerp(before, after, fractions[:, None])
-    rotations[0, changed_joints], rotations[-1, changed_joints] = before, after
-    return rotations
+    return PoseSamples(world, None if weights is None else weights[..., 0])
 
 
 def extrapolate_roots(
@@ -113,25 +106,25 @@ class CycleShift:
     rotation: FloatArray  # rotation about the up axis through the origin ``(4,)``
 
 
-def cycle_travel(rig: Rig, up: FloatArray, poses: tuple[LocalPose, ...]) -> CycleShift:
+def cycle_travel(rig: Rig, poses: Sequence[LocalPose]) -> CycleShift:
     """Return the travel of a cycle, from its first two poses and its last two.
 
     The travel is zero if the first root returns to its start. Otherwise, the
     step from the last frame to the next cycle has the mean speed of both ends.
     """
-    root = rig.roots[0]
-    first, second, second_last, last = (pose.translations[root] for pose in poses)
+    root, ends = rig.roots[0], (poses[0], poses[:2][-1], poses[-2:][0], poses[-1])
+    first, second, second_last, last = (pose.translations[root] for pose in ends)
     start_step, end_step = second - first, last - second_last
     max_step = max(np.linalg.norm(start_step), np.linalg.norm(end_step))
     if np.linalg.norm(last - first) <= STATIONARY_STEPS * max_step + 1e-9:
         return CycleShift(np.zeros(3), so3.IDENTITY)
-    rotations = [pose.rotations[root] for pose in poses]
+    rotations = [pose.rotations[root] for pose in ends]
     next_rotation = so3.multiply(
         rotations[3], so3.multiply(so3.conjugate(rotations[0]), rotations[1])
     )
+    up = np.array(rig.up.vector)
     change = so3.multiply(next_rotation, so3.conjugate(rotations[0]))
-    twist = float((change[:3] * up).sum()) * up
-    rotation = so3.normalize(np.append(twist, change[3]))
+    rotation = vertical_twist(change, up)
     goal = last + (end_step + so3.rotate(rotation, start_step)) / 2
     shift = goal - so3.rotate(rotation, first)
     return CycleShift(shift - float((shift * up).sum()) * up, rotation)

@@ -132,7 +132,6 @@ class AttachSettings:
     """The option values for one kind of attachment, with defaults, in SI units."""
 
     options: SimulateOptions
-    kind: str  # one of `AttachKind`
     frequency: float  # frequency of the pull to the animated pose [Hz]
     bend: float  # bending frequency [Hz]
     stretch: float  # strain limit [1]
@@ -152,9 +151,7 @@ class AttachSettings:
         elif options.thickness is not None:
             thickness = length_in_metres(options.thickness)
         radius = length_in_metres(options.radius)
-        return AttachSettings(
-            options, kind, radius=radius, thickness=thickness, **values
-        )
+        return AttachSettings(options, radius=radius, thickness=thickness, **values)
 
 
 def length_in_metres(value: str | float) -> float:

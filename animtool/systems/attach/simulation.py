@@ -19,11 +19,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
 from animtool.rig.parts import AttachKind
 from animtool.sim.colliders import Colliders
-from animtool.systems.attach.actor import (
-    AttachmentActor,
-    CycleSteering,
-    up_direction,
-)
+from animtool.systems.attach.actor import AttachmentActor, CycleSteering
 from animtool.systems.attach.bodies import AttachedBody, ChainBody, SurfaceBody
 from animtool.systems.attach.chains import chain_rotations
 from animtool.systems.attach.colliders import CollisionSurroundings
@@ -37,7 +33,7 @@ from animtool.systems.attach.poses import (
     pose_at,
     seam_weights,
 )
-from animtool.systems.attach.settings import AttachSettings, PreRoll, SimulateOptions
+from animtool.systems.attach.settings import PreRoll, SimulateOptions
 from animtool.systems.attach.skins import FramePoses, SkinSurface, build_skins
 from animtool.systems.framework.meter import ContactMeter
 from animtool.systems.framework.run import ReachedState
@@ -91,8 +87,8 @@ class LoopClosure:
 class _AttachmentFrames:
     """Simulated and animated points of one attachment, by frame."""
 
-    simulated_points: list[FloatArray]
-    animated_points: list[FloatArray]
+    simulated_points: list[FloatArray] = field(default_factory=list)
+    animated_points: list[FloatArray] = field(default_factory=list)
     # Surroundings in a cycle, for contact measurement after the seam is blended.
     surroundings: list[CollisionSurroundings] = field(default_factory=list)
     # States in a cycle, to which the next one may be steered ``(2, N, 3)`` [m, m/s].
@@ -138,7 +134,6 @@ class AttachSimulation:
         self._progress = progress
         self._advanced_frame_count, self._total_frame_count = 0, 1
         self._previous_pose: LocalPose | None = None
-        self._done_frame_count = 0
         self._last_rotations: dict[int, FloatArray] = {}
 
     def _collides_with_skins(self, body: AttachedBody) -> bool:
@@ -179,22 +174,21 @@ class AttachSimulation:
 
     def _block(self, block: Motion) -> Motion:
         """Return a block of the motion with simulated attachments."""
-        codes = self._codes(self._done_frame_count, block.frames)
-        rows = [_AttachmentFrames([], []) for _ in self.bodies]
-        for i in range(block.frames):
+        codes = self._codes(len(self.visited_codes), block.frames)
+        rows = [_AttachmentFrames() for _ in self.bodies]
+        for i, time_code in enumerate(codes.tolist()):
             pose = pose_at(block, i)
             if self._previous_pose is None:
                 self._begin(pose, pose_at(block, min(1, block.frames - 1)))
             else:
-                self._advance(pose, float(codes[i]))
+                frame_poses = FramePoses(self.rig, self._previous_pose, pose)
+                self._advance(frame_poses, time_code)
             self._previous_pose = pose
-            self._save_and_resume(float(codes[i]))
+            self._save_and_resume(time_code)
             for row, actor in zip(rows, self.actors, strict=True):
-                surroundings = actor.surroundings()
-                actor.measure(float(codes[i]), actor.positions, surroundings)
+                actor.measure(time_code, actor.positions, actor.surroundings())
                 row.simulated_points.append(actor.positions)
                 row.animated_points.append(actor.animated_positions)
-        self._done_frame_count += block.frames
         self.visited_codes += codes.tolist()
         return self._blend(block, codes, rows)
 
@@ -214,15 +208,11 @@ class AttachSimulation:
         self.actors = []
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
-            is_skinned = isinstance(body, SurfaceBody)
             sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
-            layers = sheets if is_skinned else ()
-            settings, skins = (
-                AttachSettings.from_options(options, body.kind),
-                self._skins_of(body),
-            )
+            layers = sheets if isinstance(body, SurfaceBody) else ()
+            skins = self._skins_of(body)
             actor = AttachmentActor(
-                self.rig, body, settings, 1 / rate, start_pose, skins, world, layers
+                self.rig, body, options, 1 / rate, start_pose, skins, world, layers
             )
             self.actors.append(actor)
         if self.resumed is not None:
@@ -242,18 +232,15 @@ class AttachSimulation:
         for earlier, later in pairwise(poses):
             self._advance_actors(FramePoses(self.rig, earlier, later))
 
-    def _advance(self, pose: LocalPose, time_code: float) -> None:
+    def _advance(self, frame_poses: FramePoses, time_code: float) -> None:
         """Advance all actors to the next frame, or follow the animation."""
-        assert self._previous_pose is not None
-        frame_poses = FramePoses(self.rig, self._previous_pose, pose)
-        if self.resumed is not None and time_code <= self.resumed.frame:
-            for actor in self.actors:
-                actor.follow_animation(frame_poses)
-            self._frame += 1
+        if self.resumed is None or time_code > self.resumed.frame:
+            has_teleport = time_code in self.options.teleports
+            self._advance_actors(frame_poses, has_teleport=has_teleport)
             return
-        self._advance_actors(
-            frame_poses, has_teleport=time_code in self.options.teleports
-        )
+        for actor in self.actors:
+            actor.follow_animation(frame_poses)
+        self._frame += 1
 
     def _advance_actors(
         self,
@@ -303,30 +290,21 @@ class AttachSimulation:
         """Return a cycle in which all attachments end in the state they start in."""
         count = motion.frames
         poses = [pose_at(motion, i) for i in range(count)]
-        if count == 1:
-            travel = CycleShift(np.zeros(3), so3.IDENTITY)
-        else:
-            end_poses = (poses[0], poses[1], poses[-2], poses[-1])
-            travel = cycle_travel(self.rig, up_direction(self.rig), end_poses)
+        travel = cycle_travel(self.rig, poses)
         poses.append(advance_cycle(self.rig, poses[0], travel))
-        self._advanced_frame_count, self._total_frame_count = (
-            0,
-            count * self.options.loop_repeats,
-        )
-        self._begin(poses[0], poses[1])
         tolerance = parse_length(self.options.loop_tolerance)
         max_repeats = self.options.loop_repeats
+        self._advanced_frame_count, self._total_frame_count = 0, count * max_repeats
+        self._begin(poses[0], poses[1])
         stale_repeats, best_residual = 0, math.inf
         rows: list[_AttachmentFrames] = []
         for repeat in range(1, max_repeats + 1):
-            start_positions = [actor.positions for actor in self.actors]
             is_last_try = repeat == max_repeats or stale_repeats >= MAX_STALE_REPEATS
             is_steered = bool(rows) and is_last_try
             rows = self._simulate_cycle(poses, rows if is_steered else [])
-            motions = [actor.grid.state.motion for actor in self.actors]
-            end_states = [_moved_to_start(state, travel) for state in motions]
-            pairs = zip(start_positions, end_states, strict=True)
-            gaps = [first - end[0] for first, end in pairs]
+            end_states = [_moved_to_start(row.motions[-1], travel) for row in rows]
+            pairs = zip(rows, end_states, strict=True)
+            gaps = [row.simulated_points[0] - end[0] for row, end in pairs]
             residual = max(float(np.abs(gap).max(initial=0.0)) for gap in gaps)
             self.loop_closure = LoopClosure(repeat, residual, tolerance, is_steered)
             if residual <= tolerance or is_steered:
@@ -362,7 +340,7 @@ class AttachSimulation:
         With ``last_frames``, this cycle is steered towards the last cycle, which ended
         at the start of this one.
         """
-        rows = [_AttachmentFrames([], []) for _ in self.bodies]
+        rows = [_AttachmentFrames() for _ in self.bodies]
         codes = self._codes(self._prepended_frame_count, len(poses)).tolist()
         self.visited_codes = codes[:-1]
         self._frame = 0

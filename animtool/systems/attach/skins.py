@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import field
+from dataclasses import field, replace
 
 import numpy as np
 
@@ -37,7 +37,10 @@ class SkinSurface:
 
     def points(self, samples: PoseSamples) -> FloatArray:
         """Return deformed points, then border centres ``(K, V + B, 3)`` [m]."""
-        points = samples.deform(self.mesh)
+        return self.with_border_centres(samples.deform(self.mesh))
+
+    def with_border_centres(self, points: FloatArray) -> FloatArray:
+        """Return points ``(K, V, 3)`` and border centres ``(K, V + B, 3)`` [m]."""
         count = int(self.borders.max(initial=-1)) + 1
         middles = np.zeros((len(points), count, 3))
         for border in range(count):
@@ -105,20 +108,17 @@ def _build_skin(
     face_of_corner = np.repeat(np.arange(len(surface.counts)), surface.counts)
     is_used = np.bincount(face_of_corner, corners, len(surface.counts)) == 0
     faces = surface.counts[is_used], surface.indices[is_used[face_of_corner]]
-    triangles, points, borders = triangulate_capped(*faces, len(vertices))
-    cap_centroids = [
-        vertices[points[borders == b]].mean(axis=0) for b in np.unique(borders)
-    ]
-    corners = np.concatenate([vertices, np.array(cap_centroids).reshape(-1, 3)])[
-        triangles
-    ]
-    a, b, c = corners.swapaxes(0, 1)
-    if (a * np.cross(b, c)).sum() < 0:
-        triangles = np.ascontiguousarray(triangles[:, ::-1])
     has_weight = np.zeros(len(rig.joints), np.bool_)
     has_weight[joint_indices[skin.indices[skin.weights > 0]]] = True
     has_weight[list(moving_joints)] = False
-    return SkinSurface(mesh, triangles, points, borders, has_weight)
+    capped_faces = triangulate_capped(*faces, len(vertices))
+    collider = SkinSurface(mesh, *capped_faces, has_weight)
+    (points,) = collider.with_border_centres(vertices[None])
+    a, b, c = points[collider.triangles].swapaxes(0, 1)
+    if (a * np.cross(b, c)).sum() < 0:
+        outward = np.ascontiguousarray(collider.triangles[:, ::-1])
+        collider = replace(collider, triangles=outward)
+    return collider
 
 
 def triangulate_capped(

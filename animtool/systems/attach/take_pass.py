@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -21,13 +21,7 @@ from animtool.core.errors import (
 )
 from animtool.core.quantities import plain_number
 from animtool.motion.motion import Motion
-from animtool.motion.passes import (
-    ColliderBuilder,
-    FrameScope,
-    Pass,
-    PassContext,
-    TakePart,
-)
+from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import TakeStream
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import AttachmentActor
@@ -221,14 +215,7 @@ def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
 
 
 def simulate(
-    stream: TakeStream,
-    options: SimulateOptions,
-    folder: Path = Path(),
-    *,
-    prepended_frames: int = 0,
-    saves_states: bool = True,
-    progress: Callable[[float], None] | None = None,
-    build_colliders: ColliderBuilder | None = None,
+    stream: TakeStream, options: SimulateOptions, context: PassContext
 ) -> TakeStream:
     """Simulate attachments of a rig through a take, block by block.
 
@@ -236,10 +223,7 @@ def simulate(
     caches. Cloth and strands also collide with earlier named cloth that has
     self-contact, without affecting that cloth.
 
-    Paths are relative to a folder. ``prepended_frames`` come before the take, with the
-    pose of its first frame; a cycle ignores them. Requested states are written if
-    ``saves_states``. Progress is the fraction done of each block, 0 to 1. Without
-    ``build_colliders``, characters, systems and meshes of the options are left out.
+    Without a scene, characters, systems and meshes of the options are left out.
     """
     refusals = RefusalCollector()
     for name, check in option_checks(options).items():
@@ -254,28 +238,33 @@ def simulate(
     frame_duration = float(stream.step / stream.fps)
     world = Colliders(options.colliders)
     names_colliders = options.characters or options.systems or options.meshes
-    if build_colliders is not None and names_colliders:
-        lead = prepended_frames * frame_duration
-        stream, world = build_colliders(stream, options, lead)
-    resumed = _load_states(bodies, options, folder)
+    if context.build_colliders is not None and names_colliders:
+        lead = context.prepended_frames * frame_duration
+        stream, world = context.build_colliders(stream, options, lead)
     simulation = AttachSimulation(
-        stream, bodies, options, resumed, prepended_frames, progress, world
+        stream,
+        bodies,
+        options,
+        _load_states(bodies, options, context.folder),
+        context.prepended_frames,
+        context.progress,
+        world,
     )
     point_names = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
         stream,
-        blocks=_blocks(simulation, stream, folder if saves_states else None),
+        blocks=_blocks(simulation, stream, context),
         points=stream.points | set(point_names),
     )
 
 
 def _blocks(
-    simulation: AttachSimulation, stream: TakeStream, folder: Path | None
+    simulation: AttachSimulation, stream: TakeStream, context: PassContext
 ) -> Iterator[Motion]:
     """Yield simulated blocks, then write states and collect notices."""
     yield from simulation.blocks(stream.blocks)
-    if simulation.options.save and folder is not None:
-        write_states(folder / simulation.options.save, simulation.saved_states)
+    if simulation.options.save and context.writes_files:
+        write_states(context.folder / simulation.options.save, simulation.saved_states)
     stream.notices.extend(simulation_notices(simulation))
     stream.simulated.extend(map(attachment_report, simulation.actors))
 
@@ -321,26 +310,12 @@ def has_effect(options: SimulateOptions) -> bool:
     return bool(options.what) and any(value for _, value in keys)
 
 
-def _run(
-    stream: TakeStream, options: SimulateOptions, context: PassContext
-) -> TakeStream:
-    return simulate(
-        stream,
-        options,
-        context.folder,
-        prepended_frames=context.prepended_frames,
-        saves_states=context.writes_files,
-        progress=context.progress,
-        build_colliders=context.build_colliders,
-    )
-
-
 PASS = Pass(
     "simulate",
     "Simulate chains, cloth and strands of the rig",
     SimulateOptions,
     FrameScope.WINDOW,
-    _run,
+    simulate,
     option_checks,
     reads=frozenset({TakePart.RIG, TakePart.JOINTS, TakePart.SHAPES, TakePart.CLOCK}),
     changes=frozenset({TakePart.JOINTS, TakePart.POINTS}),

@@ -156,20 +156,18 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
     _check_area(entry, model)
     if not entry.can_build:
         return None
+    families: dict[str, Any] = dict(entry.families)
     diagonals = model.springs.diagonals
-    has_both_diagonals = diagonals is None or diagonals.ways == "both"
-    diagonal_family = entry.families["diagonals"]
+    if diagonals is not None and diagonals.ways == "one":
+        families["diagonal"] = families.pop("diagonals")
     body = sheet(
         columns,
         rows,
         mass=entry.mass / (columns * rows),
-        structural=entry.families["structural"],
-        diagonal=None if has_both_diagonals else diagonal_family,
-        diagonals=diagonal_family if has_both_diagonals else None,
-        bend=entry.families["bend"],
         corner=model.corner,
         across=model.across,
         up=model.up,
+        **families,
     )
     grid = np.arange(rows * columns).reshape(rows, columns)
     corners = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]

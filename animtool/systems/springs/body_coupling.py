@@ -85,20 +85,17 @@ class _CellTrial(NamedTuple):
 
     springs: CoupledSprings
     residuals: FloatArray  # residual velocities ``(6 U,)``
-    wrenches: list[Wrenches]  # impulses on bodies, by system
+    wrenches: tuple[Wrenches, ...]  # impulses on bodies, by system
+
+    def end_grid(self, warm_start: FloatArray | None) -> TimeGrid:
+        """Return the springs after the cell, with the impulses on bodies."""
+        grid = self.springs.grid
+        state = replace(grid.state, known=warm_start)
+        return replace(grid, state=state, body_wrenches=self.wrenches)
 
 
 # Advances springs, given start and end positions of the carried particles.
 SolveSprings = Callable[[FloatArray, FloatArray], CoupledSprings]
-
-
-class CoupledSolution(NamedTuple):
-    """Solution of a coupled cell."""
-
-    grid: TimeGrid  # springs after the cell
-    wrenches: tuple[Wrenches, ...]  # impulses on bodies, by system
-    # Jacobian and solution, for the next cell ``(6 U, 6 U + 1)``.
-    warm_start: FloatArray | None
 
 
 class _SolvedBody(NamedTuple):
@@ -178,15 +175,15 @@ class CoupledCell:
         rows = [[1.0] * 3 + [body.radius] * 3 for body in self._solved_bodies]
         return self._h * np.array(rows).reshape(-1)
 
-    def solve(self, warm_start: FloatArray | None) -> CoupledSolution:
+    def solve(self, warm_start: FloatArray | None) -> TimeGrid:
         """Solve the coupled cell by Newton's method; return springs and body impulses.
 
-        ``warm_start`` is the Jacobian and solution of the last cell.
+        ``warm_start`` is the Jacobian and solution of the last cell ``(6 U, 6 U + 1)``;
+        the state of the result has that of this cell.
         """
         count = 6 * len(self._solved_bodies)
         if not count:
-            current = self._trial(np.zeros(0))
-            return CoupledSolution(current.springs.grid, tuple(current.wrenches), None)
+            return self._trial(np.zeros(0)).end_grid(None)
         y, jacobian = np.zeros(count), None
         if warm_start is not None and warm_start.shape == (count, count + 1):
             y, jacobian = warm_start[:, -1].copy(), warm_start[:, :-1]
@@ -220,12 +217,10 @@ class CoupledCell:
             # Broyden update of the Jacobian.
             jacobian = jacobian + np.outer(gap, change) / float(change @ change)
             is_rebuilt = False
-        grid = current.springs.grid
-        is_unsolved = grid.is_unsolved
-        is_unsolved |= not displacement <= MAX_RESIDUAL * spring_length
         next_warm_start = None if jacobian is None else np.column_stack([jacobian, y])
-        grid = replace(grid, is_unsolved=is_unsolved)
-        return CoupledSolution(grid, tuple(current.wrenches), next_warm_start)
+        grid = current.end_grid(next_warm_start)
+        is_unsolved = not displacement <= MAX_RESIDUAL * spring_length
+        return replace(grid, is_unsolved=grid.is_unsolved or is_unsolved)
 
     def _jacobian(
         self, y: FloatArray, current: _CellTrial, steps: FloatArray
@@ -286,7 +281,7 @@ class CoupledCell:
             residuals.append(np.concatenate(velocity_change) - velocity)
             totals[body.carrier][body.dynamic_index] = *pull[:3], *moment
         pulled_steps = zip(self._steps, totals, strict=True)
-        wrenches = [step.wrenches(total) for step, total in pulled_steps]
+        wrenches = tuple(step.wrenches(total) for step, total in pulled_steps)
         return _CellTrial(springs, np.array(residuals).reshape(-1), wrenches)
 
     def _pull(

@@ -71,18 +71,15 @@ class _SystemBuilder:
         )
         start_grid = plan.start(context.begin)
         simulation = SpringSimulation(plan, start_grid, context.last, context.clock())
-        spring_count = 0
-        views: list[SpringView] = []
-        for member, rows in zip(context.members, self._rows, strict=True):
-            entry: SpringEntry = member.record
-            first_spring = spring_count
-            spring_count += len(entry.body.body.springs.rest)
-            springs = slice(first_spring, spring_count)
-            notices = (*entry.body.notices, *(() if views else self._notices))
-            is_first = not views
-            view = SpringView(simulation, member, rows, springs, notices, is_first)
-            views.append(view)
-        simulation.views = views
+        counts = [len(entry.body.body.springs.rest) for entry in self._entries]
+        ends = np.cumsum(counts).tolist()
+        for k, member in enumerate(context.members):
+            springs = slice(ends[k] - counts[k], ends[k])
+            notices = (*self._entries[k].body.notices, *(() if k else self._notices))
+            view = SpringView(
+                simulation, member, self._rows[k], springs, notices, is_first=not k
+            )
+            simulation.views.append(view)
         return simulation
 
     def _position_bodies(self) -> tuple[list[Body], list[list[Pins | PointTargets]]]:

@@ -206,33 +206,29 @@ def trial_settings(
         return Setting.of(choice.solver, step=choice.cell / choice.substeps)
 
     current = setting_of(Solver(options.solver), options)
-    defaults: dict[str, Setting] = {}
+    default_steps: dict[str, float] = {}
     for solver in Solver:
         # Solvers that cannot simulate the springs are left out.
         with suppress(OptionError):
             if solver is not Solver.AUTO:
-                defaults[solver] = setting_of(solver, replace(options, step=None))
+                setting = setting_of(solver, replace(options, step=None))
+                default_steps[solver] = setting["step"]
     settings = [
         row
-        for method, setting in defaults.items()
+        for method, step in default_steps.items()
         for row in step_settings(
-            method,
-            (current if method == current.method else setting)["step"],
+            method, current["step"] if method == current.method else step
         )
     ]
     # Finer steps of bdf2, of explicit Euler, and of the chosen solver.
-    reference_steps: dict[str, float] = {}
-    if REFERENCE_SOLVER in defaults:
-        step = min(current["step"], defaults[REFERENCE_SOLVER]["step"])
-        reference_steps[REFERENCE_SOLVER] = step
-    if STIFF_REFERENCE_SOLVER in defaults:
-        step = defaults[STIFF_REFERENCE_SOLVER]["step"]
-        reference_steps[STIFF_REFERENCE_SOLVER] = step
-    if current.method not in {REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER}:
-        reference_steps[current.method] = current["step"]
+    solvers: tuple[str, ...] = (REFERENCE_SOLVER, STIFF_REFERENCE_SOLVER)
+    steps = {name: default_steps[name] for name in solvers if name in default_steps}
+    if REFERENCE_SOLVER in steps:
+        steps[REFERENCE_SOLVER] = min(current["step"], steps[REFERENCE_SOLVER])
+    if current.method not in solvers:
+        steps[current.method] = current["step"]
     references = [
-        step_settings(method, step, REFERENCE_FACTORS)
-        for method, step in reference_steps.items()
+        step_settings(method, step, REFERENCE_FACTORS) for method, step in steps.items()
     ]
 
     def changed_keys(setting: Setting) -> Mapping[str, Any]:

@@ -81,14 +81,10 @@ def resample_to_shared_times(
     moving_times = [times for times, _ in paths if len(times) > 1]
     knots = np.unique(np.concatenate(moving_times)) if moving_times else np.zeros(1)
     resampled_paths = []
-    for times, path in paths:
-        is_constant = len(times) == 1
-        is_aligned = is_constant or np.array_equal(times, knots)
-        positions = path
-        if not is_aligned:
-            positions = np.array(
-                [position_at((times, path), t) for t in knots.tolist()]
-            )
+    for path in paths:
+        times, positions = path
+        if len(times) > 1 and not np.array_equal(times, knots):
+            positions = np.array([position_at(path, t) for t in knots.tolist()])
         resampled_paths.append(np.ascontiguousarray(positions))
     return knots, resampled_paths
 

@@ -74,8 +74,7 @@ class FaceShape:
     @property
     def can_tear(self) -> bool:
         """Whether any spring along a side can tear."""
-        side_springs = self._spring_of_side[self._spring_of_side >= 0]
-        return bool(np.isfinite(self.springs.limit[side_springs]).any())
+        return bool(np.isfinite(self.springs.limit[self.side_springs]).any())
 
     def frame(
         self,
@@ -88,12 +87,10 @@ class FaceShape:
 
     def torn_shape(self, torn: BoolArray, positions: FloatArray) -> Tearing | FaceShape:
         """Return the surface split at torn side springs; mask ``(S,)``."""
-        sides = self._spring_of_side
-        if not (torn[sides] & (sides >= 0)).any():
+        if not torn[self.side_springs].any():
             return self
-        return tear_surface(
-            self.counts, self.indices, sides, self.springs, torn, positions
-        )
+        counts, indices, sides = self.counts, self.indices, self._spring_of_side
+        return tear_surface(counts, indices, sides, self.springs, torn, positions)
 
     def intact_faces(self, torn: BoolArray) -> tuple[IntArray, IntArray]:
         """Return counts and indices of faces without a torn side."""

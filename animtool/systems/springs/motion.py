@@ -57,7 +57,7 @@ class SpringState:
     )
     # Impulse and moment on each pin in the last step, for pins on bodies ``(H, 6)``.
     pulls: FloatArray | None = field(default=None, metadata=field_set_later(np.ndarray))
-    # Warm start of the coupling to bodies, as `CoupledSolution.warm_start`.
+    # Warm start of the coupling to bodies, as `CoupledCell.solve` takes it.
     known: FloatArray | None = field(default=None, metadata=field_set_later(np.ndarray))
 
 

@@ -54,7 +54,6 @@ class SpringSimulation(MotionCounts):
     """
 
     checked = True
-    views: Sequence[Any] = ()  # a `SpringView` for each entry
     status, stop_reason = Status.OK, ""
     max_strain = 0.0
     # Whether surfaces of other systems may release states before the current time.
@@ -71,6 +70,7 @@ class SpringSimulation(MotionCounts):
         self.begin, self.last, self.clock = start_grid.origin, last_time, clock
         self.step_length = start_grid.cell
         self._start, self.wrenches = start_grid, list[Wrenches]()
+        self.views = list[Any]()  # a `SpringView` for each entry
         self._start_notices = [] if start_grid.index else self.system.notices()
         # Pushed bodies react before the next cell.
         is_coupled = self.system.colliders.bodies or self.system.coupling is not None

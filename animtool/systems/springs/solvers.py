@@ -6,7 +6,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.sim.colliders import Collider, Colliders
+from animtool.sim.colliders import Colliders
 from animtool.systems.framework.body_carriers import CarrierStep
 from animtool.systems.springs.body_coupling import CoupledCell, CoupledSprings
 from animtool.systems.springs.choosing import SolverChoice
@@ -40,45 +40,30 @@ REFINEMENTS, STEP_SAFETY = (2, 4, 8, 16), 4
 LOOKBACK_TIME = 1 / 240
 # Particles that start deeper than this in a collider are left inside [m].
 INSIDE_TOLERANCE = 1e-6
-# The same with colliders that follow joints; deeper particles count as unresolved [m].
-UNRESOLVED_DEPTH = 1e-3
-
-# Kernel arguments of colliders for several cells; None without colliders.
-CellColliders: TypeAlias = tuple[Any, ...] | None
 
 
-class PosedColliders(NamedTuple):
-    """Poses of the last C colliders, which follow joints, and of moving skin meshes."""
+class CellColliders(NamedTuple):
+    """Kernel arguments of R rigid colliders and of surfaces for several cells."""
 
-    sizes: FloatArray  # sizes in the layout of kernels ``(C, 13)`` [m]
-    poses: FloatArray  # at both ends of each cell ``(cells, C, 2, 7)``
+    arrays: tuple[Any, ...]  # as of `Colliders.kernel_arrays`
+    poses: FloatArray  # of rigid colliders at both ends of each cell ``(K, R, 2, 7)``
+    radius: float  # distance that particles keep [m]
     # Signed distances, at most 0, that particles may have from rigid colliders and
-    # skin meshes ``(R, N)`` [m].
-    depths: FloatArray
-    skins: Sequence[Any]  # kernel surfaces of skins; they come before world surfaces
+    # surfaces ``(R + S, N)`` [m].
+    depths: FloatArray | None
+    max_depth: float  # particles that start deeper are left inside [m]
+    surfaces: Sequence[Any]  # kernel surfaces ``(S,)``
 
 
 def cell_colliders(
-    colliders: Colliders,
-    radius: float,
-    grid: TimeGrid,
-    count: int,
-    posed_colliders: PosedColliders | None = None,
+    colliders: Colliders, radius: float, grid: TimeGrid, count: int
 ) -> CellColliders:
-    """Return kernel arguments of colliders over the next ``count`` cells of a grid.
-
-    Particles keep a radius [m]. Returns None without colliders.
-    """
-    if not colliders.has_any and (posed_colliders is None or not posed_colliders.skins):
-        return None
+    """Return colliders over the next cells of a grid; particles keep a radius [m]."""
     steps = grid.index + np.arange(count + 1)
     edges = np.asarray(grid.origin + steps * grid.cell, np.float64)
     poses = np.zeros((count, len(colliders.rigid_colliders), 2, 7))
-    world_count = len(colliders)
-    if posed_colliders is not None:
-        world_count -= len(posed_colliders.sizes)
-    for i in range(world_count):
-        poses[:, i] = _poses_at_ends(colliders[i], edges)
+    for i, collider in enumerate(colliders):
+        poses[:, i] = collider.end_poses(edges)
     for cell, (begin, end) in enumerate(pairwise(edges.tolist())):
         poses[cell, len(colliders) :] = colliders.body_end_poses(begin, end)
     start = float(edges[0])
@@ -86,35 +71,7 @@ def cell_colliders(
     surfaces = colliders.surfaces.kernel_arrays(
         grid.origin, grid.cell, grid.index, count
     )
-    if posed_colliders is None:
-        return arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces
-    kinds, sizes, *materials = arrays
-    sizes = sizes.copy()
-    sizes[world_count : len(colliders)] = posed_colliders.sizes
-    poses[:, world_count : len(colliders)] = posed_colliders.poses
-    arrays, surfaces = (kinds, sizes, *materials), [*posed_colliders.skins, *surfaces]
-    missing_rows = (
-        len(colliders.rigid_colliders) + len(surfaces) - len(posed_colliders.depths)
-    )
-    depths = np.pad(posed_colliders.depths, ((0, missing_rows), (0, 0)))
-    return arrays, poses, radius, depths, UNRESOLVED_DEPTH, surfaces
-
-
-def _poses_at_ends(collider: Collider, edges: FloatArray) -> FloatArray:
-    """Return poses of a collider at both ends of cells ``(cells, 2, 7)``."""
-    times, rows = collider.poses.sample_times, collider.poses.rows
-    poses = collider.poses.at_times(edges)
-    intervals = np.clip(np.searchsorted(times, edges, "right") - 1, 0, len(times) - 1)
-    is_teleport = np.append(collider.teleports, False)
-    # Within a teleport, a collider stays where it was.
-    stays = is_teleport[intervals]
-    poses[stays] = rows[intervals[stays]]
-    ends = np.stack([poses[:-1], poses[1:]], axis=1)
-    # A collider that teleports within a cell is at its goal from the start of it.
-    teleport_counts = np.cumsum(np.append(0, is_teleport))[intervals]
-    has_teleported = teleport_counts[1:] > teleport_counts[:-1]
-    ends[has_teleported, 0] = ends[has_teleported, 1]
-    return ends
+    return CellColliders(arrays, poses, radius, None, INSIDE_TOLERANCE, surfaces)
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +96,7 @@ class SpringPlan:
         return TimeGrid(choice.solver, begin, choice.cell, 0, state)
 
     def advance(
-        self, grid: TimeGrid, cell_count: int, colliders: CellColliders = None
+        self, grid: TimeGrid, cell_count: int, colliders: CellColliders | None = None
     ) -> TimeGrid:
         """Advance a motion by ``cell_count`` cells with the solver of the grid.
 
@@ -149,8 +106,7 @@ class SpringPlan:
         if system.coupling is not None and cell_count:
             return self._advance_coupled(grid)
         if colliders is None:
-            radius = system.radius
-            colliders = cell_colliders(system.colliders, radius, grid, cell_count)
+            colliders = self._colliders(grid, cell_count)
         if grid.solver is Solver.XPBD and system.body.strands:
             return self._advance_strands(grid, cell_count, colliders)
         network = system.network(system.teleports.cell_stage(grid))
@@ -161,12 +117,19 @@ class SpringPlan:
         tolerance = NEWTON_TOLERANCE * system.mean_rest_length
         return _advance_implicit(network, grid, cell_count, colliders, tolerance).grid
 
+    def _colliders(self, grid: TimeGrid, cell_count: int) -> CellColliders | None:
+        """Return the colliders of the system over the next cells; None without any."""
+        colliders = self.system.colliders
+        if not colliders.has_any:
+            return None
+        return cell_colliders(colliders, self.system.radius, grid, cell_count)
+
     def _advance_xpbd(
         self,
         network: _kernels.SpringNetwork,
         grid: TimeGrid,
         cell_count: int,
-        colliders: CellColliders,
+        colliders: CellColliders | None,
     ) -> TimeGrid:
         """Advance by ``cell_count`` cells of xpbd (extended position-based dynamics).
 
@@ -198,7 +161,7 @@ class SpringPlan:
         )
 
     def _advance_strands(
-        self, grid: TimeGrid, cell_count: int, colliders: CellColliders
+        self, grid: TimeGrid, cell_count: int, colliders: CellColliders | None
     ) -> TimeGrid:
         """Advance strands by ``cell_count`` cells of xpbd, each with a direct solver.
 
@@ -255,7 +218,7 @@ class SpringPlan:
                 if not trial.is_unsolved:
                     return min_step / (STEP_SAFETY * k)
             return None
-        colliders = cell_colliders(system.colliders, system.radius, grid, 1)
+        colliders = self._colliders(grid, 1)
         network = system.network(system.teleports.cell_stage(grid))
         tolerance = NEWTON_TOLERANCE * system.mean_rest_length
         for k in REFINEMENTS:
@@ -310,7 +273,7 @@ class SpringPlan:
         stage = system.teleports.cell_stage(grid)
         network, prescribed = system.cell_network(stage, t0, t1)
         pin_positions = prescribed.pin_positions
-        colliders = cell_colliders(system.colliders, system.radius, grid, 1)
+        colliders = self._colliders(grid, 1)
         columns = np.concatenate([row.columns for row in coupling.attachments])
         fraction = ((prescribed.knots - t0) / (t1 - t0))[:, None, None]
 
@@ -321,19 +284,16 @@ class SpringPlan:
             pulls = grid.state.pulls
             return _advance_implicit(network, grid, 1, colliders, tolerance, pulls)
 
-        cell = CoupledCell(coupling, steps, solve_springs)
-        solution = cell.solve(grid.state.known)
-        state = replace(solution.grid.state, known=solution.warm_start)
-        wrenches = solution.wrenches
-        bodies = [step.pushed(w)[0] for step, w in zip(steps, wrenches, strict=True)]
-        return replace(solution.grid, state=state, body_wrenches=wrenches), bodies
+        end = CoupledCell(coupling, steps, solve_springs).solve(grid.state.known)
+        pushes = zip(steps, end.body_wrenches, strict=True)
+        return end, [step.pushed(wrenches)[0] for step, wrenches in pushes]
 
 
 def _advance_explicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
     cell_count: int,
-    colliders: CellColliders,
+    colliders: CellColliders | None,
 ) -> TimeGrid:
     """Advance a motion by ``cell_count`` cells of semi-implicit (symplectic) Euler."""
     state = grid.state
@@ -360,7 +320,7 @@ def _advance_implicit(
     network: _kernels.SpringNetwork,
     grid: TimeGrid,
     cell_count: int,
-    colliders: CellColliders,
+    colliders: CellColliders | None,
     tolerance: float,
     pulls: FloatArray | None = None,
 ) -> CoupledSprings:

@@ -7,14 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.attached import sheet_rig, take_of
+from support.attached import sheet_rig, simulate, take_of
 
 from animtool.motion.take import TakeStream
 from animtool.rig.parts import LoadedArray
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.colliders import ClothMotion
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.take_pass import simulate
 from animtool.systems.framework.meter import ClosedSurface, count_pierced_pairs
 
 SIZE = 10
@@ -78,6 +77,6 @@ def test_cloth_does_not_feel_what_is_named_after_it() -> None:
     ("t", "x"), [(0.0, 1.0), (1.0, 1.0), (1.5, 2.0), (2.0, 3.0), (9.0, 3.0)]
 )
 def test_points_are_linear_within_the_frame_alone(t: float, x: float) -> None:
-    begin, end = np.full((4, 3), 1.0), np.full((4, 3), 3.0)
-    motion = ClothMotion(np.array([[0, 1, 2]]), begin, end, (1.0, 2.0))
+    path = np.array([1.0, 2.0]), np.stack([np.full((4, 3), 1.0), np.full((4, 3), 3.0)])
+    motion = ClothMotion(np.array([[0, 1, 2]]), path)
     np.testing.assert_array_equal(motion.points(t), np.full((4, 3), x))

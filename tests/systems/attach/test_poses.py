@@ -25,7 +25,7 @@ def pose(place: list[float], degrees: float = 0.0) -> LocalPose:
 def test_who_walks_goes_on_at_the_mean_of_both_speeds() -> None:
     """From 10 on, 3 before the end and 1 after the beginning: 2; heights do not add."""
     poses = (pose([5, 1, 2]), pose([6, 1.5, 2]), pose([12, 1, 2]), pose([15, 0.9, 2]))
-    travel = cycle_travel(RIG, UP, poses)
+    travel = cycle_travel(RIG, poses)
     assert_allclose(travel.shift, [12, 0, 0], atol=1e-12)
     assert_allclose(travel.rotation, so3.IDENTITY, atol=1e-12)
     again = advance_cycle(RIG, poses[0], travel)
@@ -40,7 +40,7 @@ def test_who_goes_round_a_corner_goes_on_in_the_new_direction() -> None:
         pose([9, 1, 4], -90),
         pose([9, 1, 5], -90),
     )
-    travel = cycle_travel(RIG, UP, poses)
+    travel = cycle_travel(RIG, poses)
     assert_allclose(travel.rotation, so3.exp(np.radians(-90) * UP), atol=1e-12)
     again = advance_cycle(RIG, poses[0], travel)
     # Where it begins anew it has gone one step on, along +Z.
@@ -57,4 +57,4 @@ def test_who_ends_within_two_steps_of_the_beginning_stands_in_place(
     end: float, shift: float
 ) -> None:
     poses = (pose([0, 1, 0]), pose([1, 1, 0]), pose([end - 1, 1, 0]), pose([end, 1, 0]))
-    assert_allclose(cycle_travel(RIG, UP, poses).shift, [shift, 0, 0], atol=1e-12)
+    assert_allclose(cycle_travel(RIG, poses).shift, [shift, 0, 0], atol=1e-12)

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from support.attached import moved, sheet_rig, simulated, strands_rig, tail_rig, take_of
+from support.attached import (
+    moved,
+    sheet_rig,
+    simulate,
+    simulated,
+    strands_rig,
+    tail_rig,
+    take_of,
+)
 
 from animtool.maths import so3
 from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Box, Capsule, Collider, Poses, Sphere
 from animtool.systems.attach.settings import SimulateOptions
-from animtool.systems.attach.take_pass import simulate
 from animtool.systems.framework.meter import VISIBLE_DEPTH, VISIBLE_STRAIN
 
 RADIUS = 0.01

@@ -14,6 +14,7 @@ from support.attached import (
     GRAVITY,
     moved,
     sheet_rig,
+    simulate,
     simulated,
     strands_rig,
     tail_rig,
@@ -29,7 +30,7 @@ from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType
 from animtool.systems.attach.settings import SimulateOptions
 from animtool.systems.attach.simulation import AttachSimulation
-from animtool.systems.attach.take_pass import build_bodies, simulate
+from animtool.systems.attach.take_pass import build_bodies
 
 RIGS = {"chain": tail_rig(3, 0.2), "strands": strands_rig(), "cloth": sheet_rig()}
 # Hangs still where it is put, without anything but gravity.

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.attached import moved, sheet_rig, simulated, strands_rig, take_of
+from support.attached import moved, sheet_rig, simulate, simulated, strands_rig, take_of
 from support.piercing import distances, pierced
 
 from animtool.core.errors import OptionError
@@ -14,7 +14,6 @@ from animtool.maths.faces import triangulate
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.systems.attach.settings import AttachSettings, SimulateOptions
-from animtool.systems.attach.take_pass import simulate
 
 SIZE = 8
 EDGE = 0.3 / (SIZE - 1)
