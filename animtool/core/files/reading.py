@@ -181,10 +181,15 @@ class PathResolver:
         return self._folders[folder] / path.name
 
 
+# Why a path that does not exist is not read.
+NO_FILE = "does not exist"
+
+
 def unreadable_error(path: Path, reason: OSError | str) -> FormatError:
     """Return the error of an unreadable file, spelled as the user did (IO001)."""
-    if isinstance(reason, FileNotFoundError | NotADirectoryError):
-        message = "does not exist"
+    is_missing = isinstance(reason, FileNotFoundError | NotADirectoryError)
+    if is_missing or reason == NO_FILE:
+        message = NO_FILE
     elif isinstance(reason, PermissionError):
         message = "cannot be read: you have no permission"
     else:
@@ -363,7 +368,7 @@ def not_a_file_reason(path: Path) -> str | None:
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        return "does not exist"
+        return NO_FILE
     except OSError as error:
         return error.strerror or "cannot be examined"
     return None if stat.S_ISREG(status.st_mode) else _non_file_kind(status)
