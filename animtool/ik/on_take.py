@@ -140,7 +140,9 @@ def solve_take(
         FormatError: A prim's transform is not finite.
     """
     check_loaded(take, Take, "take")
+    check_loaded(tracks, TargetTracks, "tracks")
     options = options or TakeOptions()
+    check_loaded(options, TakeOptions, "options")
     raise_faults(take_option_faults(options))
     tracks = tracks.at_clock(take.clock)
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]

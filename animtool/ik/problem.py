@@ -119,6 +119,11 @@ def build(
     (('upper', 'lower'), 2, 2.0)
     """
     check_loaded(rig, Rig, "rig")
+    if isinstance(goals, str | Goal):
+        form = "goals" if isinstance(goals, Goal) else f"Goal({goals!r})"
+        raise TypeError(f"goals is not a list; write [{form}]")
+    for i, goal in enumerate(goals):
+        check_loaded(goal, Goal, f"goals[{i}]")
     faults = _input_faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)
