@@ -193,11 +193,12 @@ def _unmatched_fault(
     hint = nearest_file(Path(text), spec.folder)
     if hint is None and (spec.folder / text).is_dir():
         hint = f"folders are searched for {', '.join(suffixes)}"
-    key_text = None if path is None else f"{key}[{index}]"
     message = f"no file matches {text!r}"
     if not is_pattern(text) and not (spec.folder / text).is_dir():
         message = f"{text!r} does not exist"
-    return Fault("BAT067", message, path, (), hint, Severity.WARNING, where=key_text)
+    return Fault(
+        "BAT067", message, path, (), hint, Severity.WARNING, where=f"{key}[{index}]"
+    )
 
 
 def missing_inputs_error(spec: BatchSpec) -> NoMatchError:

@@ -6,6 +6,7 @@ import re
 import shlex
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,12 +29,12 @@ from animtool.cli.options import (
     bake_option,
     common_options,
     count_or_auto,
-    listed_paths,
     variables_option,
 )
 from animtool.core.errors import Fault, Severity, listed
 from animtool.core.names import has_kind_suffix
 from animtool.core.process.signals import TerminatedError
+from animtool.core.process.supervisor import stdin_lines
 from animtool.core.record import dataclass
 
 if TYPE_CHECKING:
@@ -245,8 +246,9 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     if prints_openjd and params["report_format"] != "text":
         raise click.UsageError("--lines openjd and --format both write to stdout.")
     with openjd_failure(console.namer, is_requested=prints_openjd):
-        resolved_batch = find_batch(_read_spec(inputs, params))
-    console.faults(resolved_batch.notices)
+        lines = stdin_lines() if "-" in inputs else []
+        resolved_batch = find_batch(_read_spec(inputs, lines, params))
+    console.faults([_located_input(n, inputs, lines) for n in resolved_batch.notices])
     item_range = params["numbers"]
     options = RunOptions(
         params["jobs"],
@@ -284,6 +286,22 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
     click.get_current_context().exit(int(report.exit_code))
 
 
+def _located_input(
+    fault: Fault, inputs: tuple[str, ...], lines: Sequence[str]
+) -> Fault:
+    """Return the fault of an input at its line of stdin; one of arguments has no place.
+
+    The texts of arguments are in the message.
+    """
+    match = re.fullmatch(r"inputs\[(\d+)\]|exclude\[\d+\]", fault.where or "")
+    if match is None or fault.path is not None:
+        return fault
+    if match[1] is None or inputs != ("-",):
+        return replace(fault, where=None)
+    numbers = [number for number, line in enumerate(lines, 1) if line]
+    return replace(fault, where=f"line {numbers[int(match[1])]} of stdin")
+
+
 def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
     """Refuse a last input that was likely meant as the output."""
     if len(inputs) < 2 or output is not None:
@@ -306,7 +324,9 @@ def _refuse_output(inputs: tuple[str, ...], output: str | None) -> None:
         raise click.UsageError(f"{last_input} {problem}; {hint}")
 
 
-def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
+def _read_spec(
+    inputs: tuple[str, ...], lines: Sequence[str], params: dict[str, Any]
+) -> BatchSpec:
     """Return the spec of a batch file, with values overridden by options."""
     from animtool.batch.spec import BatchSpec
 
@@ -324,7 +344,8 @@ def _read_spec(inputs: tuple[str, ...], params: dict[str, Any]) -> BatchSpec:
         uses_timeline = params["cuts"] is not None
         spec = load_batch(Path(batch_files[0]), uses_timeline=uses_timeline)
     else:
-        spec = BatchSpec(tuple(listed_paths(inputs)))
+        texts = [[*filter(None, lines)] if t == "-" else [t] for t in inputs]
+        spec = BatchSpec(tuple(chain.from_iterable(texts)))
     if params["path_mapping"] is not None:
         from animtool.batch.item import map_batch_paths, read_path_rules
 
@@ -377,6 +398,9 @@ class _RepeatCommand:
         )
 
     def command(self, report: ItemReport) -> str:
+        """Return the command; empty if its input does not exist."""
+        if not report.item.file.path.exists():
+            return ""
         params, item = self._params, report.item
         inputs, output = list(self._inputs), params["output"]
         # Stdin cannot be read again.
@@ -433,7 +457,8 @@ def _print_results(
     for item_report in report.failed:
         console.error(f"{item_report.item.label} failed")
         console.faults(item_report.faults, is_fatal=True)
-        console.say(f"  again: {repeat_command.command(item_report)}")
+        if command := repeat_command.command(item_report):
+            console.say(f"  again: {command}")
 
 
 def _print_notices(console: Console, report: BatchReport) -> None:

@@ -149,12 +149,12 @@ class Console:
             self.early_faults.update(warnings)
 
     def faults(self, faults: Iterable[Fault], *, is_fatal: bool = False) -> None:
-        """Write faults to stderr; when quiet, only errors.
+        """Write each distinct fault to stderr; when quiet, only errors.
 
         An error or warning at a column is followed by its source line and a caret.
         """
         sources = None
-        for raw_fault in faults:
+        for raw_fault in dict.fromkeys(faults):
             if raw_fault in self.early_faults:
                 continue
             fault = raw_fault.with_argument_names(self.namer)

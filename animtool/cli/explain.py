@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar
 
 import click
@@ -115,6 +116,9 @@ def _refuse_command_name(code: str) -> None:
     name = code.lower()
     if name in COMMANDS:
         hint = f"animtool docs {name} explains the command"
+        raise OptionError(Fault("VAL005", f"unknown code {code!r}", hint=hint))
+    if not code.isalnum() and Path(code).exists():
+        hint = f"it is a path: animtool validate {code} lists its findings"
         raise OptionError(Fault("VAL005", f"unknown code {code!r}", hint=hint))
 
 

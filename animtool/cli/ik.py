@@ -263,7 +263,14 @@ def _check_match(params: dict[str, Any]) -> None:
         name = option.name or ""
         is_ignored = name in params and name not in _MATCH_OPTIONS
         if is_ignored and context.get_parameter_source(name) is not default_source:
-            raise click.UsageError(f"{option.opts[-1]} has no effect with --match.")
+            flag = option.opts[-1]
+            text = f"{flag} has no effect with --match, which writes targets: leave "
+            text += f"{flag} out, or leave out --match to solve for targets"
+            if name == "targets":
+                text = "--match writes targets and --targets reads them: leave out "
+                text += "--targets to write some from the clip, or --match to solve "
+                text += "for those of the file"
+            raise click.UsageError(f"{text}.")
 
 
 def _check_solve_options(params: dict[str, Any]) -> None:
@@ -271,7 +278,9 @@ def _check_solve_options(params: dict[str, Any]) -> None:
         raise click.UsageError("Pass --targets, or --match to write some.")
     refuse_plot_without_table(params)
     if params["chains"] is not None:
-        raise click.UsageError("--chains needs --match.")
+        message = "--chains names the chains that --match writes targets for: leave it "
+        message += "out to solve, or write --match in place of --targets."
+        raise click.UsageError(message)
 
 
 def _start_options(params: dict[str, Any]) -> Any:

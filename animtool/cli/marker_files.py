@@ -109,11 +109,13 @@ def run_on_markers(
         markers, report = process_markers(*marker_sets)
         notice_sources = [*marker_sets, report]
         result_files = [*sources, sources[0]]
-        notices = [
+        located_notices = (
             notice.in_file(path)
             for path, result in zip(result_files, notice_sources, strict=True)
             for notice in result.notices
-        ]
+        )
+        # Two of the sources may be arrays of one file.
+        notices = [*dict.fromkeys(located_notices)]
         refuse_warnings(notices, strict=params["strict"])
         notices += write_markers(markers, output, overwrite=params["overwrite"])
     console.faults(notices)

@@ -11,6 +11,7 @@ from typing import Any, TypeVar
 import click
 
 from animtool.cli.console import SOURCE_NAMES, Console, FlagNamer, flag_of
+from animtool.cli.help import ARGUMENTS_KEY
 from animtool.core.arguments import name_arguments
 from animtool.core.errors import Severity
 from animtool.core.names import is_variable_name
@@ -148,8 +149,31 @@ def _parse_variable(text: str) -> tuple[str, str]:
     return name, value
 
 
-def _parse_codes(text: str) -> tuple[str, ...]:
-    return tuple(code.upper() for code in parse_names(text))
+class _CodesType(click.ParamType[Any]):
+    """Click type of codes, which refuses paths."""
+
+    name = "codes"
+
+    def convert(
+        self, value: Any, param: click.Parameter | None, ctx: click.Context | None
+    ) -> Any:
+        """Return the names, or fail if one is the path of a file or folder."""
+        if not isinstance(value, str):
+            return value
+        from animtool.validation.options import matches_code
+
+        names = parse_names(value)
+        for name in names:
+            path = Path(name)
+            if path.exists() and not matches_code(name):
+                kind = "folder" if path.is_dir() else "file"
+                hint = "a code is such as CLIP2"
+                if ctx is not None and param is not None:
+                    arguments = ctx.meta.get(ARGUMENTS_KEY, ())
+                    code = next(filter(matches_code, (*names, *arguments)), "CODE")
+                    hint = f"write {ctx.command_path} {name} {param.opts[-1]} {code}"
+                self.fail(f"{name!r} is a {kind}, not a code; {hint}.", param, ctx)
+        return names
 
 
 def _parse_severity(text: str) -> tuple[str, Severity]:
@@ -157,7 +181,7 @@ def _parse_severity(text: str) -> tuple[str, Severity]:
     if not equals or not code or name not in list(Severity):
         levels = ", ".join(Severity)
         raise ValueError(f"{text!r} is not CODE=SEVERITY; severities are {levels}")
-    return code.upper(), Severity(name)
+    return code, Severity(name)
 
 
 def _parse_processes(text: str) -> int:
@@ -282,7 +306,7 @@ _CLICK_TYPES: dict[str, tuple[Any, str | None]] = {
     "angle": (TOLERANCE, "DEGREES"),
     "amount": (TOLERANCE, None),
     "seed": (ParsedType("whole number", _parse_integer), None),
-    "codes": (ParsedType("codes", _parse_codes), "CODE,…"),
+    "codes": (_CodesType(), "CODE,…"),
     "severities": (ParsedType("severity", _parse_severity), "CODE=SEVERITY"),
     "processes": (ParsedType("processes", _parse_processes), "N"),
 }

@@ -17,13 +17,9 @@ from animtool.documents.other_words import OTHER_VALUES
 
 # Options of other commands and tools, and ours.
 OTHER_OPTIONS = {
-    "--frames": ("--range",),
-    "--frame-range": ("--range",),
     "--out": ("--output",),
     "--out-file": ("--output",),
     "--rig": ("--to",),
-    "--start-frame": ("--range",),
-    "--end-frame": ("--range",),
     "--anim": ("--take",),
     "--animation": ("--take",),
     "--count": ("--repeats",),
@@ -45,6 +41,14 @@ OTHER_OPTIONS = {
     "--json": ("--format",),
     "--variable": ("--set",),
     "--code": ("--select",),
+}
+# Names for a range of frames or its ends.
+_FRAME_RANGE_NAMES = {
+    "--range",
+    "--frames",
+    "--frame-range",
+    *(f"--{end}{suffix}" for end in ("start", "end") for suffix in ("", "-frame")),
+    *(f"--{end}{suffix}" for end in ("first", "last") for suffix in ("", "-frame")),
 }
 # Similarity from which an option is suggested, or if another command has the name.
 MIN_SIMILARITY, HIGH_SIMILARITY = 0.75, 0.9
@@ -186,6 +190,11 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     equivalent_flags = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
     if equivalent_flags:
         yield f"did you mean {equivalent_flags[0]!r}?"
+    if name in _FRAME_RANGE_NAMES:
+        if "--range" in flags:
+            yield "did you mean '--range'?"
+        elif {"--first", "--last"} <= {*flags}:
+            yield f"{command_path} takes a range of frames as --first and --last"
     argument = _argument_named(bare_name, command)
     if argument is not None:
         yield f"{argument} is an argument: {command_path} {argument}"
@@ -205,15 +214,28 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
 def _commands_with_option(name: str, context: click.Context) -> Iterator[str]:
     """Yield the commands that have an option, the common commands first."""
     root = context.find_root()
-    group = root.command
+    for path, command in _commands_below(root.command, root):
+        if any(name in param.opts for param in _command_options(command)):
+            yield f"{root.command_path} {path}"
+
+
+def _commands_below(
+    group: click.Command, context: click.Context
+) -> Iterator[tuple[str, click.Command]]:
+    """Yield the name and command of each command, those of nested groups last."""
     if not isinstance(group, LazyGroup):
         return
-    for command_name in dict.fromkeys((*_SUGGESTED_COMMANDS, *group.entries)):
-        command = group.get_command(root, command_name)
-        if command is None or isinstance(command, click.Group):
-            continue
-        if any(name in param.opts for param in _command_options(command)):
-            yield f"{root.command_path} {command_name}"
+    nested_groups = {}
+    suggested_names = [n for n in _SUGGESTED_COMMANDS if n in group.entries]
+    for name in dict.fromkeys((*suggested_names, *group.entries)):
+        command = group.get_command(context, name)
+        if isinstance(command, LazyGroup):
+            nested_groups[name] = command
+        elif command is not None:
+            yield name, command
+    for name, nested_group in nested_groups.items():
+        for path, command in _commands_below(nested_group, context):
+            yield f"{name} {path}", command
 
 
 def _command_options(command: click.Command) -> list[click.Option]:

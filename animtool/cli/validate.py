@@ -18,7 +18,7 @@ from animtool.cli.options import (
     record_options,
 )
 from animtool.core.options import clash_messages
-from animtool.validation.options import ReportOptions, ValidateOptions
+from animtool.validation.options import ReportOptions, ValidateOptions, matches_code
 
 if TYPE_CHECKING:
     from animtool.core.errors import ExitCode, Fault
@@ -61,6 +61,11 @@ def validate(console: Console, /, paths: tuple[str, ...], **params: Any) -> None
     report_options = ReportOptions(**read_values(ReportOptions, params))
     for message in clash_messages(report_options):
         raise click.UsageError(f"{message}.")
+    for text in paths:
+        if matches_code(text) and not Path(text).exists():
+            message = f"{text!r} is a code, not a file: animtool explain {text} "
+            message += f"describes it, animtool validate PATHS --ignore {text} skips it"
+            raise click.UsageError(f"{message}.")
     files, match_warnings = match_files(listed_paths(paths))
     path_warnings = [
         options.with_severity(warning)

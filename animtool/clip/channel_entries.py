@@ -274,7 +274,7 @@ class CurveReader:
                     if not hint:
                         hint = self.document.decimal_comma_hint(
                             location, component_count
-                        )
+                        ) or _form_hint(self.model, component_count)
                     self.document.add("CLIP007", location, message, hint)
                     shown_hints |= {hint} if hint else set()
                 continue
@@ -338,6 +338,15 @@ def _rotation_hint(
     if model.euler and number_count == 4:
         return "remove 'euler' for quaternions, or write three angles"
     return None
+
+
+def _form_hint(model: CurveModel, component_count: int) -> str:
+    """Return a hint with the form of a key's value."""
+    if component_count == 1:
+        return "write one number"
+    forms = {3: "x, y, z", 4: "w, x, y, z"}
+    form = ", ".join(model.euler.lower()) if model.euler else forms[component_count]
+    return f"write [{form}]"
 
 
 def _value_row(value: float | list[float], repeat_count: int) -> list[float]:

@@ -105,7 +105,7 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     if not part:
         return _part_fault(name, rig)
     if rig is not None and joint not in rig.names:
-        hint = name_hint(joint, rig.names)
+        hint = rig.joint_hint(joint)
         return Fault("CLIP002", f"unknown joint {joint!r}", hint=hint)
     if rig is not None:
         joint_type = rig.joints[rig.index(joint)].type

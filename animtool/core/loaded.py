@@ -9,7 +9,17 @@ from pathlib import Path
 _LOADERS = {
     "Clip": "Clip.load({})",
     "Rig": "Rig.load({})",
+    "TargetTracks": "load_targets({}, rig)",
     "Take": "open_source({}).collect()",
+}
+# How a value of another class, named {0}, becomes one of a class.
+_CONVERSIONS = {
+    ("Problem", "Rig"): "build({0}, goals)",
+    ("Targets", "list"): "Targets(positions={0})",
+    ("Targets", "ndarray"): "Targets(positions={0})",
+    ("Targets", "TargetTracks"): "solve_take(take, {0})",
+    ("TargetTracks", "Targets"): "solve(problem, None, {0})",
+    ("IkResult", "Problem"): "solve({0}, None, targets)",
 }
 
 
@@ -24,14 +34,18 @@ def check_loaded(value: object, expected_class: type, name: str) -> None:
     if isinstance(value, expected_class):
         return
     class_name, type_name = expected_class.__name__, type(value).__name__
-    article = "an" if type_name[:1] in "AEIOUaeiou" else "a"
-    value_text, remedy = f"{article} {type_name}", ""
+    value_text, remedy = _with_article(type_name), ""
     loader = _LOADERS.get(class_name, "")
     if value is None:
         value_text = "None"
-    if isinstance(value, str | Path):
+    if isinstance(value, str) and class_name == "Goal":
+        remedy = f"Goal({value!r})"
+        value_text = "text"
+    elif isinstance(value, str | Path):
         value_text = "a path"
         remedy = loader.format(repr(str(value)))
+    elif conversion := _CONVERSIONS.get((class_name, type_name)):
+        remedy = conversion.format(name)
     elif class_name == "Take" and hasattr(value, "collect"):
         remedy = f"{name}.collect()"
     elif class_name == "Take" and type_name == "Clip":
@@ -41,4 +55,9 @@ def check_loaded(value: object, expected_class: type, name: str) -> None:
     elif isinstance(getattr(value, class_name.lower(), None), expected_class):
         remedy = f"{name}.{class_name.lower()}"
     hint = f"; write {remedy}" if remedy else ""
-    raise TypeError(f"{name} is {value_text}, not a {class_name}{hint}")
+    expected_text = _with_article(class_name)
+    raise TypeError(f"{name} is {value_text}, not {expected_text}{hint}")
+
+
+def _with_article(noun: str) -> str:
+    return f"{'an' if noun[:1] in 'AEIOUaeiou' else 'a'} {noun}"

@@ -250,7 +250,8 @@ def clash_messages(record: Any) -> list[str]:
         for excluded_name, message in changed_option.excludes.items():
             if excluded_name in changes:
                 pair_text = f"{markers[name]} and {markers[excluded_name]}"
-                messages.append(message or f"{pair_text} exclude each other")
+                default_text = f"{pair_text} exclude each other: use one of them"
+                messages.append(message or default_text)
         required_name = changed_option.required_option
         if required_name and required_name not in changes:
             message = f"{markers[name]} needs {markers[required_name]}"

@@ -99,6 +99,8 @@ MAX_ZEROS = 15
 MIN_LENGTH = 1e-12
 # Smaller angles are rounding errors of float64 [deg].
 MIN_ANGLE = 1e-6
+# Largest error in images that is shown as a number [px].
+MAX_PIXELS = 100_000
 _DURATION_UNITS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZE_UNITS = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
@@ -172,6 +174,17 @@ def duration_text(seconds: float, digits: int = 3) -> str:
     ('1.61 ms', '72.4 s', '30 µs')
     """
     return _unit_text(seconds, _DURATION_UNITS, "s", digits)
+
+
+def pixels_text(pixels: float) -> str:
+    """Format an error in images [px]; beyond a large image its size means nothing.
+
+    >>> pixels_text(0.437), pixels_text(1.4e154)
+    ('0.4 px', 'more than 100,000 px')
+    """
+    if not abs(pixels) <= MAX_PIXELS:
+        return f"more than {MAX_PIXELS:,} px"
+    return f"{pixels:.1f} px"
 
 
 def frames_hint(seconds: float, rate: float) -> str | None:

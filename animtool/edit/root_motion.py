@@ -8,6 +8,7 @@ from enum import StrEnum
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.loaded import check_loaded
 from animtool.core.quantities import length_text
@@ -102,7 +103,11 @@ def extract_root(
     root_index = take.rig.index(root)
     if root_index not in take.rig.upwards(hip_index)[1:]:
         name = take.rig.names[hip_index]
-        raise _root_error(f"{root!r} is not above {name!r}", "choose other hips")
+        message, hint = f"{root!r} is not above {name!r}", "choose other hips"
+        if hips and hip_index in take.rig.upwards(root_index)[1:]:
+            message = f"{root!r} is below {name!r}: the root and the hips are exchanged"
+            hint = f"write {argument('root', name)}, {argument('hips', root)}"
+        raise _root_error(message, hint)
     root_transforms = _root_transforms(take, root_index, hip_index, axes.lower(), yaw)
     return _compact_take(set_joint(take, root_index, root_transforms))
 

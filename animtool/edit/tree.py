@@ -10,9 +10,8 @@ from fnmatch import fnmatchcase
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.errors import Fault, OptionError, excerpt, listed
+from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.loaded import check_loaded
-from animtool.core.names import most_similar, name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -57,11 +56,8 @@ def match_joints(
 
 def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
     """Return the error for an unknown joint in an option (SCN012)."""
-    suggestions = most_similar(name, rig.names)
-    message = f"{option}: unknown joint {excerpt(name)}; the rig has "
-    message += listed(rig.names)
-    hint = f"did you mean {suggestions}?" if suggestions else None
-    return OptionError(Fault("SCN012", message, hint=hint))
+    message = f"{option}: unknown joint {excerpt(name)} of {rig.name!r}"
+    return OptionError(Fault("SCN012", message, hint=rig.joint_hint(name)))
 
 
 # Scales, and angles [rad], that differ by less are equal: files have float32 or half
@@ -306,7 +302,7 @@ def hang(
     rig, motion = take.rig, take.motion
     _check_axis(axis)
     if joint not in rig.names:
-        hint = name_hint(joint, rig.names)
+        hint = rig.joint_hint(joint)
         raise _hang_error(f"unknown joint {joint!r}", "joint", hint)
     index = rig.index(joint)
     if rig.joints[index].type is not JointType.FREE:

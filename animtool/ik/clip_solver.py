@@ -8,6 +8,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError
+from animtool.ik.arguments import checks_arguments
 from animtool.ik.branches import (
     EQUAL_COST_TOLERANCE,
     Interval,
@@ -39,6 +40,7 @@ BRANCH_COST = 1e-2
 MAX_REDUNDANCY, SEARCH_INTERVAL, MAX_SEARCHES = 2, 0.5, 4
 
 
+@checks_arguments(FollowOptions)
 def follow(
     problem: Problem,
     start: ArrayLike | None,

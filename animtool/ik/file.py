@@ -16,14 +16,13 @@ from animtool.clip.file import read_range
 from animtool.clip.schema import CurveModel
 from animtool.core.config import project_roots
 from animtool.core.errors import listed
-from animtool.core.names import name_hint
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.units import LengthUnit
 from animtool.documents.arrays import Archives
 from animtool.documents.check import validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
-from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind
+from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind, root_problem
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.suspicions import (
     warn_of_angles,
@@ -251,9 +250,11 @@ class _TargetsReader:
         if name in self.rig.names:
             return name, None
         if not self.document.is_placeholder(location):
-            names = [*(chain.name for chain in self.rig.chains), *self.rig.names]
+            chain_names = [chain.name for chain in self.rig.chains]
             message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
-            self.document.add("TGT001", location, message, name_hint(name, names))
+            self.document.add(
+                "TGT001", location, message, self.rig.joint_hint(name, chain_names)
+            )
         return None, None
 
     def _read_root(
@@ -272,12 +273,13 @@ class _TargetsReader:
         location = (*goal_location, "root")
         if name not in self.rig.names:
             message = f"unknown joint {name!r} of {self.rig.name!r}"
-            hint = name_hint(name, self.rig.names)
+            hint = self.rig.joint_hint(name)
             self.document.add("TGT001", location, message, hint)
             return None
         if self.rig.index(name) not in self.rig.upwards(self.rig.index(joint)):
-            message = f"{name!r} is not above {joint!r}"
-            self.document.add("TGT012", location, message)
+            form = "write effector: {joint}, root: {root}"
+            message, hint = root_problem(self.rig, name, joint, form)
+            self.document.add("TGT012", location, message, hint)
         return name
 
     def _read_spans(

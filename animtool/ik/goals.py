@@ -10,11 +10,11 @@ from numbers import Real
 import numpy as np
 
 from animtool.core.array_types import ArrayLike, BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, counted, excerpt
-from animtool.core.names import most_similar
+from animtool.core.errors import Fault, OptionError, counted, excerpt, listed
 from animtool.core.old_names import rename_attributes
 from animtool.core.record import dataclass
 from animtool.rig.parts import Vector
+from animtool.rig.sides import mirrored_name
 from animtool.rig.skeleton import Rig
 
 # Larger coordinates overflow when squared [m].
@@ -241,9 +241,8 @@ def goal_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     """Return the faults in a single goal."""
     faults = []
     if goal.joint not in rig.names:
-        suggestions = most_similar(goal.joint, rig.names)
-        hint = f"did you mean {suggestions}?" if suggestions else None
         message = f"unknown joint {excerpt(goal.joint)} of {rig.name!r}"
+        hint = rig.joint_hint(goal.joint)
         faults.append(Fault("TGT001", message, where=where, hint=hint))
     faults += _root_faults(goal, rig, where)
     weights = np.array(goal.weights, np.float64)
@@ -279,13 +278,36 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
         return []
     if goal.root not in rig.names:
         message = f"unknown joint {excerpt(goal.root)} of {rig.name!r}"
-        return [Fault("TGT001", message, where=where)]
+        return [Fault("TGT001", message, where=where, hint=rig.joint_hint(goal.root))]
     if goal.joint not in rig.names:
         return []
     if rig.index(goal.root) in rig.upwards(rig.index(goal.joint)):
         return []
-    message = f"its root {goal.root!r} is not above {goal.joint!r}"
-    return [Fault("TGT012", message, where=where)]
+    form = "write joint={joint!r}, root={root!r}"
+    message, hint = root_problem(rig, goal.root, goal.joint, form)
+    return [Fault("TGT012", f"its root {message}", where=where, hint=hint)]
+
+
+def root_problem(rig: Rig, root: str, joint: str, form: str) -> tuple[str, str]:
+    """Return the message and hint of a root that is not above its joint (TGT012).
+
+    Args:
+        rig: Has both joints.
+        root: Name of the goal's root.
+        joint: Name of the goal's joint.
+        form: Hint for exchanged names, with both as ``{joint!r}`` and ``{root!r}``.
+    """
+    if rig.index(joint) in rig.upwards(rig.index(root)):
+        message = f"{root!r} is below {joint!r}: the two are exchanged"
+        return message, form.format(joint=root, root=joint)
+    names_above = [rig.names[j] for j in rig.upwards(rig.index(joint))[1:]]
+    other_name = mirrored_name(root)
+    hint = f"above it are {listed([repr(name) for name in names_above])}"
+    if other_name in names_above:
+        hint = f"did you mean {other_name!r}?"
+    elif not names_above:
+        hint = f"nothing is above {joint!r}; omit the root"
+    return f"{root!r} is not above {joint!r}", hint
 
 
 def targets_of_frames(targets: Targets, frames: IntArray | slice) -> Targets:

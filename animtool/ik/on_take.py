@@ -13,7 +13,6 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.loaded import check_loaded
-from animtool.core.names import name_hint
 from animtool.core.old_names import renamed_arguments
 from animtool.ik.chain_frame import check_scales, spans_of_take
 from animtool.ik.goals import PARTS, Goal, Targets, targets_of_frames
@@ -141,7 +140,9 @@ def solve_take(
         FormatError: A prim's transform is not finite.
     """
     check_loaded(take, Take, "take")
+    check_loaded(tracks, TargetTracks, "tracks")
     options = options or TakeOptions()
+    check_loaded(options, TakeOptions, "options")
     raise_faults(take_option_faults(options))
     tracks = tracks.at_clock(take.clock)
     effectors = [(track.name, track.goal.joint) for track in tracks.goals]
@@ -367,7 +368,7 @@ def _movable_joint_names(
         matches = {name for name in full_rig.names if fnmatchcase(name, pattern)}
         if not matches:
             message = f"no joint of {full_rig.name!r} matches {pattern!r}"
-            hint = name_hint(pattern, full_rig.names)
+            hint = full_rig.joint_hint(pattern)
             faults.append(Fault("TGT001", message, hint=hint))
         names |= matches
     if faults:

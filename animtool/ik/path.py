@@ -10,6 +10,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
+from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.ik.chain import REVOLUTION_EXCESS, joint_steps, unwrap_angles
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Targets, by_unit
@@ -314,6 +315,8 @@ def smooth(
     switch stays. A goal that jumps makes joints jump. Long clips are smoothed in blocks
     of 48 smoothing times, at least 256 frames.
     """
+    check_loaded(result, IkResult, "result")
+    check_loaded(targets, Targets, "targets")
     options = options or IkOptions()
     faults = smoothing_faults(seconds, fps)
     if faults:

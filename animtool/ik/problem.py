@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import ArrayLike, as_floats
-from animtool.core.errors import Fault, OptionError, counted, listed
+from animtool.core.errors import Fault, OptionError, counted, excerpt, listed
 from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.ik.assembly import assemble_chain
@@ -119,6 +119,11 @@ def build(
     (('upper', 'lower'), 2, 2.0)
     """
     check_loaded(rig, Rig, "rig")
+    if isinstance(goals, str | Goal):
+        form = "goals" if isinstance(goals, Goal) else f"Goal({goals!r})"
+        raise TypeError(f"goals is not a list; write [{form}]")
+    for i, goal in enumerate(goals):
+        check_loaded(goal, Goal, f"goals[{i}]")
     faults = _input_faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)
@@ -162,7 +167,8 @@ def _input_faults(
         joints = ()
     for name in joints or ():
         if name not in names:
-            faults.append(Fault("TGT001", f"unknown joint {name!r} of {rig.name!r}"))
+            message = f"unknown joint {excerpt(name)} of {rig.name!r}"
+            faults.append(Fault("TGT001", message, hint=rig.joint_hint(name)))
     faults += rest_weight_faults(rest_weight)
     for joint in rig.joints:
         if _is_reversed(joint.limits):

@@ -10,6 +10,7 @@ import numpy as np
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, listed
+from animtool.ik.arguments import checks_arguments
 from animtool.ik.chain import joint_steps
 from animtool.ik.goals import Targets, pack
 from animtool.ik.options import IkMethod, IkOptions
@@ -41,6 +42,7 @@ COUNT_RANGES = {
 }
 
 
+@checks_arguments(IkOptions)
 def solve(
     problem: Problem,
     start: ArrayLike | None,

@@ -24,6 +24,7 @@ from animtool.retarget.roles import (
     CONTROL,
     END,
     LEG_ROLES,
+    ROLES,
     SIDES,
     TWIST,
     Anatomy,
@@ -139,6 +140,24 @@ def find_anatomy(
     return Anatomy(
         tuple(search.roles), tuple(evidence), confidence, name, tuple(notices)
     )
+
+
+def joints_of_part(rig: Rig, name: str) -> tuple[str, list[str]]:
+    """Return the part of the body that a name means, and the joints that a rig has.
+
+    Both are empty for a name without a known meaning, or if the rig has no such part.
+    """
+    role = name
+    if name not in ROLES:
+        (votes,) = role_votes(parse_names([name], np.array([-1])), None)
+        role = max(votes, key=lambda one: votes[one], default="")
+    if not role:
+        return "", []
+    anatomy = find_anatomy(rig)
+    sides = {"_l": "left ", "_r": "right "}
+    part = base_role(role).replace("_", " ")
+    part_text = sides.get(role[-2:], "") + part
+    return part_text, [rig.names[j] for j in anatomy.chain(role)]
 
 
 def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:

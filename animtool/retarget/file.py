@@ -18,6 +18,7 @@ from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.retarget.map import TwistFraction
 from animtool.retarget.names import strip_common_prefix
 from animtool.retarget.roles import ROLES
+from animtool.rig.sides import mirrored_name, name_side
 from animtool.rig.skeleton import Rig
 
 UnitReal = Annotated[Real, Field(ge=0, le=1)]
@@ -131,20 +132,94 @@ def load_map(path: Path | str) -> MapFile:
 def parse_map_document(document: Document) -> MapFile:
     """Return a document as a map file; raise on repeated targets or unknown roles."""
     model = validate_file(document, "map", MapModel)
-    entry_of_joint: dict[str, int] = {}
+    _check_distinct_targets(document, model)
+    _check_distinct_twists(document, model)
+    _check_ignored(document, model)
     for i, entry in enumerate(model.joints):
-        for name in _name_list(entry.target):
-            if name in entry_of_joint:
-                message = f"{name!r} appears in two entries as a target"
-                hint = f"remove it here or from joints[{entry_of_joint[name]}]"
-                document.add("MAP002", ("joints", i, "target"), message, hint)
-            entry_of_joint.setdefault(name, i)
         if entry.role is not None and entry.role not in ROLES:
             message = f"unknown role {entry.role!r}"
             hint = name_hint(entry.role, ROLES)
             document.add("MAP005", ("joints", i, "role"), message, hint)
     document.check()
     return MapFile(document, model)
+
+
+def _check_distinct_targets(document: Document, model: MapModel) -> None:
+    """Record target joints of two entries, or twice in one (MAP002)."""
+    entry_of_joint: dict[str, int] = {}
+    for i, entry in enumerate(model.joints):
+        for name in dict.fromkeys(_name_list(entry.target)):
+            j = entry_of_joint.setdefault(name, i)
+            if j != i:
+                _add_repeated_target(document, model, name, (j, i))
+        names = _name_list(entry.target)
+        for k, name in enumerate(names):
+            if name in names[:k]:
+                message = f"{name!r} appears twice in the list"
+                location = ("joints", i, "target", k)
+                document.add("MAP002", location, message, "remove one of them")
+
+
+def _add_repeated_target(
+    document: Document, model: MapModel, name: str, indices: tuple[int, int]
+) -> None:
+    """Record a target of two entries, with the joint that one likely means (MAP002)."""
+    entries = [model.joints[i] for i in indices]
+    sources = [", ".join(_name_list(entry.source)) for entry in entries]
+    targets = {n for entry in model.joints for n in _name_list(entry.target)}
+    message = f"{name!r} appears in two entries as a target"
+    other_name = mirrored_name(name)
+    is_wrong_side = [
+        other_name not in targets and _entry_side(entry) == name_side(other_name or "")
+        for entry in entries
+    ]
+    index, other_index = indices[::-1]
+    if other_name is not None and sum(is_wrong_side) == 1:
+        index, other_index = indices if is_wrong_side[0] else indices[::-1]
+        message += f", and nothing follows {other_name!r}"
+        hint = f"write {other_name} here, or remove one of the two entries"
+    elif sources[0] == sources[1]:
+        hint = "remove one of the two entries"
+    else:
+        hint = f"name the joint that follows {sources[1]!r} here, or remove one of them"
+    other_line = document.position(("joints", other_index))[0]
+    hint += f"; the other is in line {other_line}"
+    document.add("MAP002", ("joints", index, "target"), message, hint)
+
+
+def _entry_side(entry: MapEntryModel) -> str:
+    """Return the side that the role of an entry states, else its source joints."""
+    if entry.role in ROLES:
+        return entry.role[-1] if entry.role[-2:] in {"_l", "_r"} else ""
+    sides = {name_side(name) for name in _name_list(entry.source)}
+    return sides.pop() if len(sides) == 1 else ""
+
+
+def _check_distinct_twists(document: Document, model: MapModel) -> None:
+    """Record joints of two entries of twists (MAP002)."""
+    entry_of_joint: dict[str, int] = {}
+    for i, twist in enumerate(model.twists or ()):
+        j = entry_of_joint.setdefault(twist.joint, i)
+        if j != i:
+            message = f"{twist.joint!r} appears in two entries"
+            hint = f"name another joint here, or remove this entry or twists[{j}]"
+            document.add("MAP002", ("twists", i, "joint"), message, hint)
+
+
+def _check_ignored(document: Document, model: MapModel) -> None:
+    """Record joints that an entry uses although the file ignores them (MAP002)."""
+    for side in ("source", "target"):
+        entry_of_joint = {
+            name: i
+            for i, entry in enumerate(model.joints)
+            for name in _name_list(getattr(entry, side))
+        }
+        for k, name in enumerate(getattr(model.ignored, side)):
+            if name in entry_of_joint:
+                entry_text = f"joints[{entry_of_joint[name]}]"
+                message = f"{name!r} is a {side} of {entry_text} too"
+                hint = f"remove it here to map it, or from {entry_text} to ignore it"
+                document.add("MAP002", ("ignored", side, k), message, hint)
 
 
 def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
@@ -194,6 +269,7 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
         frozenset(joint_indices(side, getattr(model.ignored, side), "ignored", side))
         for side in rigs
     ]
+    _check_distinct_joints(document, entries, target)
     document.check()
     return ResolvedMap(
         tuple(entries),
@@ -201,6 +277,21 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
         (ignored[0], ignored[1]),
         model.others == "none",
     )
+
+
+def _check_distinct_joints(
+    document: Document, entries: Sequence[ResolvedEntry], target: Rig
+) -> None:
+    """Record target joints that two entries give different names (MAP002)."""
+    entry_of_joint: dict[int, int] = {}
+    for i, entry in enumerate(entries):
+        for j in entry.target:
+            other = entry_of_joint.setdefault(j, i)
+            if other != i:
+                message = f"joints[{other}] has the same joint {target.names[j]!r} of "
+                message += f"{target.name!r} by another name"
+                hint = "remove one of the two entries"
+                document.add("MAP002", ("joints", i, "target"), message, hint)
 
 
 def _refuse_swapped_map(

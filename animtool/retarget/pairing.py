@@ -32,6 +32,7 @@ from animtool.retarget.roles import (
 )
 from animtool.retarget.transfer import equal_name_pairs
 from animtool.rig.kinematics import rest_world
+from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Rig
 
 # Roles that the last bone of a chain leads to, in order of preference.
@@ -152,19 +153,29 @@ def _crossed_side_warnings(
     map_file: MapFile | Path | str | None,
 ) -> list[Fault]:
     """Return a warning if left joints are paired with right joints (MAP108)."""
-    crossed_pairs = []
+    crossed_pairs, crossed_sources, other_sources = [], set(), set()
     for pair in pairs:
         source_roles = anatomies[0].roles[pair.source]
         target_roles = anatomies[1].roles[pair.target]
         if {source_roles[-2:], target_roles[-2:]} == {"_l", "_r"}:
             names = rigs[0].names[pair.source], rigs[1].names[pair.target]
             crossed_pairs.append(f"{names[0]} to {names[1]}")
+            crossed_sources.add(pair.source)
+        else:
+            other_sources.add(pair.source)
     if not crossed_pairs:
         return []
     side_count = sum(role[-2:] in {"_l", "_r"} for role in anatomies[1].roles)
     message = f"{counted(len(crossed_pairs), 'joint')} of {side_count} on the left and "
     message += f"right follow the other side: {listed(crossed_pairs, 6)}"
     hint = "swap the sides in the map; to mirror a take, use the mirror pass"
+    if crossed_sources <= other_sources:
+        joint = min(crossed_sources)
+        partner = int(pair_sides(rigs[0].names, rigs[0].parents).partners[joint])
+        if partner not in {joint, *crossed_sources, *other_sources}:
+            names = rigs[0].names[partner], rigs[0].names[joint]
+            hint = f"write {names[0]} in place of {names[1]}, which another joint "
+            hint += "follows too"
     path = map_file.document.path if isinstance(map_file, MapFile) else map_file
     file_path = None if path is None else str(path)
     return [Fault("MAP108", message, file_path, (), hint, Severity.WARNING)]

@@ -67,7 +67,7 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
             hint = "read the input of the shape's driver instead"
         return Fault("RIG012", message, hint=hint)
     if joint_name not in rig.names:
-        hint = _suggestion_hint(joint_name, rig.names)
+        hint = rig.joint_hint(joint_name)
         return Fault("RIG008", f"unknown joint {joint_name!r}", hint=hint)
     joint = rig.joints[rig.index(joint_name)]
     parts = readable_parts(joint)

@@ -24,6 +24,7 @@ SIDE_WORDS = {
     "l": "r",
     "左": "右",
 }
+_OTHER_SIDE = {right: left for left, right in SIDE_WORDS.items()} | SIDE_WORDS
 _LEFT_PATTERN, _RIGHT_PATTERN = (
     rf"(?<![A-Za-z]){word}|{word.capitalize()}|(?<![A-Za-z]){word.upper()}(?![a-z])"
     for word in ("left", "right")
@@ -124,6 +125,30 @@ def find_likely_pairs(names: Sequence[str], pairs: SidePairs) -> list[tuple[str,
     return likely_pairs
 
 
+def mirrored_name(name: str) -> str | None:
+    """Return the name of the same part on the other side; None without a clear side.
+
+    >>> mirrored_name("shoulder_l"), mirrored_name("RightArm"), mirrored_name("spine")
+    ('shoulder_r', 'LeftArm', None)
+    """
+    marks = [*_LOOKS_LEFT.finditer(name), *_LOOKS_RIGHT.finditer(name)]
+    if len(marks) != 1:
+        return None
+    mark = marks[0]
+    return name[: mark.start()] + _opposite_mark(mark[0]) + name[mark.end() :]
+
+
+def name_side(name: str) -> str:
+    """Return the side that a name clearly states: ``l``, ``r`` or empty.
+
+    >>> name_side("LeftArm"), name_side("shoulder_r"), name_side("spine")
+    ('l', 'r', '')
+    """
+    if mirrored_name(name) is None:
+        return ""
+    return "l" if _LOOKS_LEFT.search(name) else "r"
+
+
 def _without_side(name: str) -> str:
     """Return a name without its side, in lower case."""
     without_words = _LOOKS_RIGHT.sub("", _LOOKS_LEFT.sub("", name))
@@ -174,11 +199,15 @@ def _partner_names(name: str) -> Iterator[tuple[int, str]]:
 
 def _right_mark(side_mark: re.Match[str]) -> str:
     """Return the right-hand mark for a left-hand mark, in the same case."""
-    word = side_mark[0]
-    right = SIDE_WORDS[word.lower()]
+    return _opposite_mark(side_mark[0])
+
+
+def _opposite_mark(word: str) -> str:
+    """Return the mark of the other side in the same case: of Left, Right."""
+    other_word = _OTHER_SIDE[word.lower()]
     if word.isupper():
-        return right.upper()
-    return right.capitalize() if word[0].isupper() else right
+        return other_word.upper()
+    return other_word.capitalize() if word[0].isupper() else other_word
 
 
 # Translation and rotation, world space.

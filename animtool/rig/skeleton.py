@@ -13,8 +13,15 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeAlias, cast, get
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
-from animtool.core.names import most_similar
+from animtool.core.errors import (
+    Fault,
+    FormatError,
+    OptionError,
+    counted,
+    excerpt,
+    listed,
+)
+from animtool.core.names import most_similar, name_hint
 from animtool.core.old_names import rename_attributes
 from animtool.core.plugins import load_object
 from animtool.core.readers import find_reader
@@ -252,11 +259,32 @@ class Rig:
         1
         """
         if name not in self._index:
-            suggestions = most_similar(name, self._index)
-            hint = f"did you mean {suggestions}?" if suggestions else None
             message = f"unknown joint {excerpt(name)} of {self.name!r}"
+            hint = self.joint_hint(name)
             raise OptionError(Fault("RIG008", message, hint=hint))
         return self._index[name]
+
+    def joint_hint(self, name: str, other_names: Sequence[str] = ()) -> str:
+        """Return a hint for an unknown joint: the nearest name, or the joint meant.
+
+        Args:
+            name: The unknown name.
+            other_names: Names that are valid besides those of joints.
+
+        >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).joint_hint("lowr")
+        "did you mean 'lower'?"
+        """
+        names = [*other_names, *self.names]
+        if most_similar(name, names) or not self.joints:
+            return name_hint(name, names)
+        part_names: Any = load_object("animtool.retarget.anatomy:joints_of_part")
+        part_text, joints = part_names(self, name)
+        if not joints:
+            return name_hint(name, names)
+        subject = "joint" if len(joints) == 1 else "joints"
+        verb = "is" if len(joints) == 1 else "are"
+        joint_text = listed([repr(name) for name in joints])
+        return f"the {subject} of the {part_text} {verb} {joint_text}"
 
     def ik(self, *goals: Any, **options: Any) -> Any:
         """Return an `animtool.ik.Session` that solves goals one pose per call.

@@ -179,13 +179,15 @@ class ReportOptions:
 
 def _longest_prefix(code: str, prefixes: Iterable[str]) -> str | None:
     """Return the longest matching prefix of a code, in current or old spelling."""
-    matches = [prefix for prefix in prefixes if code.startswith(current_codes(prefix))]
+    matches = [
+        prefix for prefix in prefixes if code.startswith(current_codes(prefix.upper()))
+    ]
     return max(matches, key=_prefix_length_of, default=None)
 
 
 def _prefix_length_of(prefix: str) -> int:
     """Return the length of a prefix in its current spelling."""
-    return len(current_codes(prefix)[0])
+    return len(current_codes(prefix.upper())[0])
 
 
 def _prefix_length(code: str, prefixes: Iterable[str]) -> int:
@@ -197,28 +199,44 @@ def _prefix_length(code: str, prefixes: Iterable[str]) -> int:
 def check_codes(options: ValidateOptions, path: str | None = None) -> None:
     """Raise OptionError if a prefix matches no code (VAL005)."""
     faults = []
-    for prefix in (*options.select, *options.ignore, *options.severity):
-        codes = current_codes(prefix)
-        if prefix and any(code.startswith(codes) for code in builtin_rules()):
-            continue
-        rules, _ = all_rules()
-        if prefix and any(code.startswith(prefix) for code in rules):
-            continue
-        message = f"no code matches {prefix!r}"
-        corrected_prefix = corrected_code(prefix, rules)
-        hint = name_hint(prefix, list(rules))
-        if corrected_prefix is not None:
-            hint = f"did you mean {corrected_prefix!r}, with digits?"
-        elif prefix_letters := re.match("[A-Z]+", prefix.upper()):
-            is_known = any(code.startswith(prefix_letters[0]) for code in rules)
-            hint = (
-                f"animtool explain {prefix_letters[0]} lists them" if is_known else hint
-            )
-        if hint.startswith("allowed"):
-            hint = "animtool explain lists them"
-        faults.append(Fault("VAL005", message, path, (), hint))
+    for name in ("select", "ignore", "severity"):
+        where = name if path is None else f"validate.{name}"
+        for prefix in getattr(options, name):
+            if not matches_code(prefix):
+                message = f"no code matches {prefix!r}"
+                hint = _code_hint(prefix)
+                faults.append(Fault("VAL005", message, path, (), hint, where=where))
     if faults:
         raise OptionError(faults)
+
+
+def matches_code(prefix: str) -> bool:
+    """Return whether a text is a code or a prefix of one, in any case.
+
+    >>> matches_code("CLIP2"), matches_code("samples")
+    (True, False)
+    """
+    prefix = prefix.upper()
+    codes = current_codes(prefix)
+    if prefix and any(code.startswith(codes) for code in builtin_rules()):
+        return True
+    rules, _ = all_rules()
+    return bool(prefix) and any(code.startswith(prefix) for code in rules)
+
+
+def _code_hint(prefix: str) -> str:
+    """Return a hint for a prefix that matches no code."""
+    if "/" in prefix or "\\" in prefix or "." in prefix:
+        return "it looks like a path; a code is such as CLIP2 or CLIP201"
+    rules, _ = all_rules()
+    corrected_prefix = corrected_code(prefix, rules)
+    if corrected_prefix is not None:
+        return f"did you mean {corrected_prefix!r}, with digits?"
+    prefix_letters = re.match("[A-Z]+", prefix.upper())
+    if prefix_letters and any(code.startswith(prefix_letters[0]) for code in rules):
+        return f"animtool explain {prefix_letters[0]} lists them"
+    hint = name_hint(prefix, list(rules))
+    return "animtool explain lists them" if hint.startswith("allowed") else hint
 
 
 # Settings that a project may have, in the order of their faults.

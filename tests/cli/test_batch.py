@@ -108,6 +108,26 @@ def test_a_list_on_stdin(takes: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(whole_outputs(takes / "out")) == {"take000.usdc", "take002.usdc"}
 
 
+def test_a_missing_file_of_a_list_has_its_line_and_nothing_repeats_it(
+    takes: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (takes / "takes/old").mkdir()
+    (takes / "takes/take001.bvh").rename(takes / "takes/old/take001.bvh")
+    listed = "takes/take000.bvh\n\ntakes/take001.bvh\n"
+    monkeypatch.setattr("sys.stdin", io.StringIO(listed))
+    done = animtool("batch", "-", *OUT, cwd=takes)
+    assert done.code == 1
+    lines = done.stderr.splitlines()
+    (warning,) = (line for line in lines if "BAT067" in line)
+    assert "BAT067 line 3 of stdin: 'takes/take001.bvh'" in warning
+    assert warning.endswith("did you mean 'takes/old/take001.bvh'?")
+    assert lines[-1].endswith("did you mean 'takes/old/take001.bvh'?")
+    done = animtool("batch", "takes/take001.bvh", *OUT, "--format", "json", cwd=takes)
+    (item,) = json.loads(done.stdout)["items"]
+    assert (item["status"], item.get("again")) == ("failed", None)
+    assert "BAT067 'takes/take001.bvh'" in done.stderr
+
+
 def test_reports_for_programs(takes: Path) -> None:
     (takes / "takes/take001.bvh").write_text("HIERARCHY\n")
     lines = animtool(

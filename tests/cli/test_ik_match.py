@@ -202,14 +202,17 @@ def test_strict_refuses_joints_that_the_take_lacks(place: Path) -> None:
         (("--match", "--clip", STRIDE, "-o", "-"), "not to stdout"),
         (
             ("--match", "--clip", STRIDE, "-o", OUT, "-t", "a.targets.yaml"),
-            "--targets has no effect with --match.",
+            "leave out --targets to write some from the clip, or --match",
         ),
         (
             ("--match", "--clip", STRIDE, "-o", OUT, "--method", "ccd"),
-            "--method has no effect with --match.",
+            "leave --method out, or leave out --match to solve",
         ),
         (("--clip", STRIDE), "Pass --targets, or --match to write some."),
-        (("-t", "a.targets.yaml", "--chains", "a"), "--chains needs --match."),
+        (
+            ("-t", "a.targets.yaml", "--chains", "a"),
+            "leave it out to solve, or write --match",
+        ),
     ],
 )
 def test_options_that_do_not_go_together(

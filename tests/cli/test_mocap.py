@@ -186,3 +186,17 @@ def test_markers_are_not_cleaned_but_filled(tmp_path: Path) -> None:
     assert done.code == 2
     assert "SOL007" in done.stderr
     assert "animtool mocap fill take.npz" in done.stderr
+
+
+def test_two_arrays_of_one_file_have_one_notice(tmp_path: Path) -> None:
+    random = np.random.default_rng(5)
+    rest = random.uniform(0, 1700, (6, 3))
+    static = np.repeat(rest[None], 40, axis=0)
+    path = tmp_path / "take.npz"
+    cloud = np.roll(static, 2, axis=1).astype(np.float32)
+    names = np.array([f"M{i}" for i in range(6)])
+    np.savez(path, fs=100, marker_names=names, static_mm=static, cloud_mm=cloud)
+    arguments = (f"{path}#cloud_mm", "--static", f"{path}#static_mm")
+    done = animtool("mocap", "label", *arguments, "-o", tmp_path / "a.npz")
+    assert done.code == 0, done.stderr
+    assert done.stderr.count("MKR103") == 1

@@ -66,3 +66,64 @@ def test_a_neutral_frame_with_an_expression(tmp_path: Path, landmarks: Path) -> 
         assert done.code == 0, done.stderr
         assert done.stderr.count("FAC111 with --neutral 7 ") == found
         assert "FAC105" not in done.stderr
+
+
+@pytest.mark.parametrize("words", [(), ("--head", "none"), ("--neutral", "0")])
+def test_mirrored_landmarks_are_named(
+    tmp_path: Path, landmarks: Path, words: tuple[str, ...]
+) -> None:
+    arrays = dict(np.load(landmarks))
+    arrays["landmarks_mm"] = arrays["landmarks_mm"] * [-1, 1, 1]
+    np.savez(landmarks, **arrays)
+    command = ("mocap", "face", landmarks, *RIG, *OWN, *words, "--format", "json")
+    done = animtool(*command, "-o", tmp_path / "a.usdc")
+    assert done.code == 0, done.stderr
+    codes = [notice["code"] for notice in json.loads(done.stdout)["notices"]]
+    assert "FAC112" in codes
+    assert {"FAC104", "FAC105", "FAC110", "FAC111"}.isdisjoint(codes)
+    notices = json.loads(done.stdout)["notices"]
+    (hint,) = (n["hint"] for n in notices if n["code"] == "FAC112")
+    assert hint == "negate x of the landmarks"
+
+
+def test_names_of_sides_may_be_exchanged(tmp_path: Path, landmarks: Path) -> None:
+    arrays = dict(np.load(landmarks))
+    arrays["landmarks_mm"] = arrays["landmarks_mm"] * [-1, 1, 1]
+    names = arrays["landmark_names"].astype("U9")
+    names[:2] = ["eye_l", "eye_r"]
+    np.savez(landmarks, **arrays | {"landmark_names": names})
+    own = (ROOT / "samples/face/head.landmarks.yaml").read_text("utf-8")
+    own = own.replace("m00", "eye_l").replace("m01", "eye_r")
+    own = own.replace("rig: ../../rigs/head/head.rig.yaml\n", "")
+    (tmp_path / "a.landmarks.yaml").write_text(own, "utf-8")
+    own_words = (
+        "--landmarks",
+        tmp_path / "a.landmarks.yaml",
+        "-o",
+        tmp_path / "a.usdc",
+    )
+    done = animtool("mocap", "face", landmarks, *RIG, *own_words)
+    assert done.code == 0, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if "FAC112" in line]
+    assert "negate x of the landmarks, or exchange the names of left" in line
+
+
+def test_landmarks_seen_in_a_mirror_are_named(tmp_path: Path, landmarks: Path) -> None:
+    arrays = dict(np.load(landmarks))
+    points = arrays.pop("landmarks_mm") / 1000 - [0, 1.6, 0]
+    # Half a metre in front of a camera that looks along +Z, v down.
+    depth = 0.5 - points[..., 2]
+    u, v = (600 * points[..., k] / depth for k in (0, 1))
+    (tmp_path / "a.cameras.yaml").write_text(
+        "cameras: animtool/1\nviews:\n- {name: a, focal: [600, 600], "
+        "centre: [320, 240], size: [640, 480], rotation: [1, 0, 0, 0], "
+        "translation: [0, 0, 0]}\n"
+    )
+    for name, sign in (("seen", 1), ("mirrored", -1)):
+        pixels = np.stack([320 + sign * u, 240 - v], axis=-1)
+        np.savez(landmarks, landmarks_px=pixels, **arrays)
+        camera = ("--camera", tmp_path / "a.cameras.yaml")
+        command = ("mocap", "face", landmarks, *RIG, *OWN, *camera)
+        done = animtool(*command, "-o", tmp_path / f"{name}.usdc")
+        assert done.code == 0, done.stderr
+        assert ("FAC112" in done.stderr) == (sign < 0), done.stderr

@@ -34,6 +34,25 @@ def test_words_have_the_cheapest_and_what_to_write() -> None:
     assert any(line.startswith("cheapest within 2 mm: rate, fps 48") for line in lines)
 
 
+@pytest.mark.parametrize("command", ["report", "bake"])
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("--source-fps", "30000/10001"), "TAKE011"),
+        (("--source-fps", "2400"), "TAKE009"),
+        (("--units", "m"), "RIG217"),
+    ],
+)
+def test_a_table_has_the_notices_of_a_bake(
+    root: Path, tmp_path: Path, command: str, words: tuple[str, ...], code: str
+) -> None:
+    walk = root / "samples/walk/walk.bvh"
+    output = ["-o", tmp_path / "o.usdc"] if command == "bake" else []
+    done = animtool(command, walk, *words, *output)
+    assert done.code == 0, done.stderr
+    assert done.stderr.count(f" {code} ") == 1
+
+
 def test_a_page_is_written_once(tmp_path: Path) -> None:
     page = tmp_path / "arm.html"
     done = animtool("report", CLIP, "-o", page)

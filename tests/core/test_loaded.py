@@ -94,3 +94,47 @@ def test_clips_are_no_rigs() -> None:
     (fault,) = caught.value.faults
     assert (fault.code, fault.path) == ("DOC009", str(CLIP))
     assert "Clip.load" in (fault.hint or "")
+
+
+def test_arguments_of_ik_in_the_place_of_others_say_what_to_write() -> None:
+    rig = Rig.load(RIG)
+    take = Clip.load(CLIP).sample(rig, fps=24)
+    any_ik: Any = ik  # a type checker knows these mistakes too
+    arm: Any = ik.build(rig, [ik.Goal("wrist_l")], joints=["shoulder_l", "elbow_l"])
+    targets: Any = ik.Targets(positions=[[[0.3, 1.2, 0.4]]])
+    calls: list[tuple[Callable[[], object], str]] = [
+        (lambda: any_ik.solve(arm, targets), r"write solve\(problem, None, targets\)"),
+        (lambda: any_ik.solve(arm, targets, None), r"solve\(problem, None, targets"),
+        (
+            lambda: any_ik.solve(arm, targets=targets),
+            r"solve\(problem, None, targets",
+        ),
+        (
+            lambda: any_ik.follow(arm, targets),
+            r"write follow\(problem, None, targets\)",
+        ),
+        (
+            lambda: any_ik.solve(arm, None, [[[0, 1, 0]]]),
+            r"Targets\(positions=targets\)",
+        ),
+        (lambda: any_ik.solve(rig, None, targets), r"build\(problem, goals\)"),
+        (
+            lambda: any_ik.solve(arm, None, targets, ik.TakeOptions()),
+            "not an IkOptions",
+        ),
+        (
+            lambda: any_ik.smooth(arm, targets, 0.1, fps=24),
+            r"solve\(result, None, targets",
+        ),
+        (lambda: any_ik.build(rig, ik.Goal("wrist_l")), r"write \[goals\]"),
+        (lambda: any_ik.build(rig, ["wrist_l"]), r"write Goal\('wrist_l'\)"),
+        (lambda: any_ik.build(rig, "wrist_l"), r"write \[Goal\('wrist_l'\)\]"),
+        (lambda: any_ik.solve_take(take, targets), r"solve\(problem, None, tracks\)"),
+        (
+            lambda: any_ik.solve_take(take, "a.targets.yaml"),
+            r"load_targets\('a.targets",
+        ),
+    ]
+    for call, message in calls:
+        with pytest.raises(TypeError, match=message):
+            call()

@@ -88,7 +88,10 @@ class Bread:
         (Bread(whole=True, sliced=True), ["sliced: no whole"]),
         (
             Bread(whole=True, width=1.0),
-            ["whole=True and width exclude each other", "width needs sliced=True"],
+            [
+                "whole=True and width exclude each other: use one of them",
+                "width needs sliced=True",
+            ],
         ),
     ],
 )
@@ -156,7 +159,7 @@ def test_an_option_is_added_to_a_command_by_its_declaration() -> None:
     [
         ([], ValidateOptions(jobs=None)),
         (
-            ["--select", "rig2,USD", "--select", "CLIP2", "-j", "2"],
+            ["--select", "RIG2,USD", "--select", "CLIP2", "-j", "2"],
             ValidateOptions(select=("RIG2", "USD", "CLIP2"), jobs=2),
         ),
         (

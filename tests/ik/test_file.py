@@ -101,6 +101,26 @@ def test_each_fault_has_its_line(folder: Path, code: str, goal: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("effector", "root", "hint"),
+    [
+        ("hip_l", "ankle_l", "write effector: ankle_l, root: hip_l"),
+        ("leg_l", "hip_r", "did you mean 'hip_l'?"),
+        ("leg_l", "knee_r", "did you mean 'knee_l'?"),
+        ("hips", "ankle_r", "write effector: ankle_r, root: hips"),
+    ],
+)
+def test_a_root_below_its_effector_says_what_to_write(
+    folder: Path, effector: str, root: str, hint: str
+) -> None:
+    goal = f"- {{effector: {effector}, root: {root}, position: [0, 0, 0]}}"
+    with pytest.raises(FormatError) as caught:
+        tracks_of(folder, goal, head=HEAD + "range: [1, 5]\n")
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("TGT012", (6,))
+    assert hint in (fault.hint or "")
+
+
+@pytest.mark.parametrize(
     ("head", "code", "line"),
     [
         ("targets: animtool/1\nrange: [9, 1]\n", "CLIP006", 2),

@@ -53,11 +53,19 @@ def test_a_goal_with_a_root_moves_the_joints_from_there() -> None:
     assert both.joints == ("spine", "elbow", "piston", "hand", "other")
 
 
-@pytest.mark.parametrize(("root", "code"), [("hnd", "TGT001"), ("other", "TGT012")])
-def test_a_root_is_above_its_joint(root: str, code: str) -> None:
+@pytest.mark.parametrize(
+    ("joint", "root", "code", "hint"),
+    [
+        ("hand", "hnd", "TGT001", "'hand'"),
+        ("hand", "other", "TGT012", "'piston', 'plate', 'elbow', 'spine', 'root'"),
+        ("elbow", "hand", "TGT012", "write joint='hand', root='elbow'"),
+    ],
+)
+def test_a_root_is_above_its_joint(joint: str, root: str, code: str, hint: str) -> None:
     with pytest.raises(OptionError) as caught:
-        build(mixed_rig(), [Goal("hand", (0.1, 0.0, 0.0), root=root)])
+        build(mixed_rig(), [Goal(joint, (0.1, 0.0, 0.0), root=root)])
     assert codes(caught) == [code]
+    assert hint in (caught.value.faults[0].hint or "")
 
 
 def test_the_length_is_the_longest_way_along_the_bones() -> None:

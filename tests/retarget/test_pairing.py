@@ -11,6 +11,7 @@ from support.people import named, person
 
 from animtool.core.errors import FormatError, OptionError
 from animtool.retarget import JointMap, map_joints, map_text
+from animtool.retarget.file import load_map
 from animtool.retarget.pairing import (
     _bone_length,
     _chain_fractions,
@@ -311,7 +312,7 @@ def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
             (3, 33),
             "allowed: shin_l,",
         ),
-        ("{source: Hips, target: [hips, hips]}", "MAP002", (3, 26), "joints[0]"),
+        ("{source: Hips, target: [hips, hips]}", "MAP002", (3, 33), "remove one"),
         ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
         ("{source: Hips, target: []}", "DOC022", (3, 26), ""),
         ("{sauce: Hips, target: hips}", "DOC020", (3, 4), "'source'"),
@@ -374,3 +375,79 @@ def test_a_biped_onto_four_legs(height: float, codes: list[str]) -> None:
     joint_map = map_joints(source, replace(rig, joints=tuple(joints)))
     found = [n.code for n in joint_map.notices if n.code == "MAP109"]
     assert found == codes
+
+
+@pytest.mark.parametrize(
+    ("lines", "place", "hint"),
+    [
+        # Copied from the left, with the target or with the whole entry but its role.
+        (("LeftArm, upper_arm_l", "RightArm, upper_arm_l"), (4, 30), "upper_arm_r"),
+        (("RightArm, upper_arm_r", "LeftArm, upper_arm_r"), (4, 29), "upper_arm_l"),
+        (("LeftArm, upper_arm_r", "RightArm, upper_arm_r"), (3, 29), "upper_arm_l"),
+        # The joint of the other side is in use, or no side tells which is wrong.
+        (
+            ("LeftArm, upper_arm_l", "Head, upper_arm_r", "RightArm, upper_arm_l"),
+            (5, 30),
+            "follows 'RightArm'",
+        ),
+        (("Spine, spine", "Spine1, spine"), (4, 28), "follows 'Spine1'"),
+        (("Spine, spine", "Spine, spine"), (4, 27), "remove one of the two entries"),
+    ],
+)
+def test_a_copied_target_names_the_likely_joint(
+    tmp_path: Path, lines: tuple[str, ...], place: tuple[int, int], hint: str
+) -> None:
+    rows = [line.split(", ") for line in lines]
+    entries = "".join(f"- {{source: {s}, target: {t}}}\n" for s, t in rows)
+    path = written(tmp_path, f"map: animtool/1\njoints:\n{entries}")
+    with pytest.raises(FormatError) as caught:
+        load_map(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, (fault.lines[0], fault.column)) == ("MAP002", place)
+    assert hint in (fault.hint or "")
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        (
+            "twists: [{joint: a, bone: b, share: 1}, {joint: a, bone: c, share: 1}]",
+            "twists[1].joint",
+        ),
+        ("ignored: {target: [head, hips]}", "ignored.target[1]"),
+        ("ignored: {source: [Hips]}", "ignored.source[0]"),
+    ],
+)
+def test_a_joint_in_two_parts_of_a_map_is_refused(
+    tmp_path: Path, text: str, where: str
+) -> None:
+    joints = "joints: [{source: Hips, target: hips}]"
+    path = written(tmp_path, f"map: animtool/1\n{joints}\n{text}\n")
+    with pytest.raises(FormatError) as caught:
+        load_map(path)
+    assert [(f.code, f.where) for f in caught.value.faults] == [("MAP002", where)]
+
+
+def test_a_joint_by_two_names_is_refused(tmp_path: Path) -> None:
+    source, _ = person(named("mixamo"))
+    target, _ = person(lambda role: f"hero:{role}")
+    joints = "- {source: Hips, target: 'hero:hips'}\n- {source: Spine, target: hips}\n"
+    path = written(tmp_path, f"map: animtool/1\njoints:\n{joints}")
+    with pytest.raises(FormatError) as caught:
+        map_joints(source, target, map_file=path)
+    where = [(f.code, f.where) for f in caught.value.faults]
+    assert where == [("MAP002", "joints[1].target")]
+
+
+def test_a_copied_source_names_the_joint_that_is_left_out(tmp_path: Path) -> None:
+    source, _ = person(named("mixamo"))
+    target, _ = person()
+    joints = "- {source: LeftArm, target: upper_arm_l}\n"
+    joints += "- {source: LeftArm, target: upper_arm_r}\n"
+    path = written(tmp_path, f"map: animtool/1\njoints:\n{joints}")
+    (found,) = (
+        fault
+        for fault in map_joints(source, target, map_file=path).notices
+        if fault.code == "MAP108"
+    )
+    assert "write mixamorig:RightArm in place of" in (found.hint or "")

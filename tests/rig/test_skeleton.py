@@ -45,7 +45,7 @@ def test_a_name_that_is_none_finds_the_nearest() -> None:
     with pytest.raises(OptionError) as caught:
         Rig("hero", (Joint("hand_l", -1),)).index("hnad_l")
     (fault,) = caught.value.faults
-    assert (fault.code, fault.hint) == ("RIG008", "did you mean hand_l?")
+    assert (fault.code, fault.hint) == ("RIG008", "did you mean 'hand_l'?")
 
 
 def test_a_short_repr() -> None:
@@ -54,3 +54,16 @@ def test_a_short_repr() -> None:
     assert repr(rig) == "<Rig 'rope': 1000 joints, 2 controls, in cm, Y up>"
     one = Rig("rope", joints[:1], controls=(Control("bend"),))
     assert repr(one) == "<Rig 'rope': 1 joint, 1 control, in m, Y up>"
+
+
+@pytest.mark.parametrize(
+    ("name", "joint"),
+    [("hand_l", "'wrist_l'"), ("LeftUpLeg", "'hip_l'"), ("tail", "hips, spine_1")],
+)
+def test_a_name_of_a_part_of_the_body_finds_its_joint(name: str, joint: str) -> None:
+    rig = Rig.load("rigs/biped/biped.rig.yaml")
+    with pytest.raises(OptionError) as caught:
+        rig.index(name)
+    (fault,) = caught.value.faults
+    assert fault.code == "RIG008"
+    assert joint in (fault.hint or "")

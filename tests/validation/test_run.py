@@ -76,7 +76,14 @@ def test_severities(leg: Path) -> None:
 def test_codes_that_there_are_none_of(leg: Path, key: str) -> None:
     with pytest.raises(OptionError) as error:
         codes(leg, **{key: ("RIGG",)})
-    assert error.value.code == "VAL005"
+    assert [(f.code, f.where) for f in error.value.faults] == [("VAL005", key)]
+
+
+def test_codes_in_any_case(leg: Path) -> None:
+    assert codes(leg, ignore=("rig201",)) == codes(leg, ignore=("RIG201",))
+    levels = {"rig": Severity.ERROR, "Rig202": Severity.NOTE}
+    found = validate(leg, ValidateOptions(severity=levels))
+    assert [fault.severity for fault in found] == [Severity.ERROR, Severity.NOTE]
 
 
 def test_exit_codes(leg: Path, tmp_path: Path) -> None:

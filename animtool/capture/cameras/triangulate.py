@@ -44,6 +44,7 @@ from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.options import TriangulateOptions
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted
+from animtool.core.quantities import pixels_text
 from animtool.maths.runs import runs
 from animtool.motion.markers import Markers
 
@@ -160,10 +161,12 @@ class _TriangulationRun:
             self._refuse_other_pixels(max_noise)
         if median_noise > MAX_NOISE_FRACTION * width:
             message = "cameras disagree: their rays miss each other by "
-            message += f"{median_noise:.0f} px"
+            message += pixels_text(median_noise)
             self._refuse_cameras(message)
         if not noise.do_cameras_agree or median_noise > max_noise:
-            message = f"rays of the cameras miss each other by {median_noise:.1f} px"
+            message = (
+                f"rays of the cameras miss each other by {pixels_text(median_noise)}"
+            )
             hint = "a camera may have moved, or this may be the calibration of another "
             hint += "stage or day; calibrate the cameras again"
             path = self.cameras.path or None
@@ -182,8 +185,8 @@ class _TriangulationRun:
             return
         convention, noise, noise_as_read = better_fit
         difference, remedy = convention.description_and_remedy
-        message = f"rays of the cameras miss each other by {noise_as_read:.1f} px, but "
-        message += f"by {noise:.1f} px if {difference}"
+        message = f"rays of the cameras miss each other by {pixels_text(noise_as_read)}"
+        message += f", but by {pixels_text(noise)} if {difference}"
         hint = f"{remedy}: x_camera = rotation * x_world + translation"
         path = self.cameras.path or None
         raise OptionError(Fault("CAM014", message, path, hint=hint))
@@ -197,10 +200,9 @@ class _TriangulationRun:
         ):
             noise = sampled_noise(replace(observations, stored=stored), cameras)
             if noise <= min(max_noise, noise_as_read / MIN_IMPROVEMENT):
-                message = (
-                    f"rays of the cameras miss each other by {noise_as_read:.1f} px, "
-                )
-                message += f"but by {noise:.1f} px if pixels are {convention}"
+                message = "rays of the cameras miss each other by "
+                message += f"{pixels_text(noise_as_read)}, but by {pixels_text(noise)} "
+                message += f"if pixels are {convention}"
                 hint = f"{remedy}: u points right and v down, from the top left"
                 path = observations.path or None
                 raise OptionError(Fault("CAM014", message, path, hint=hint))

@@ -14,7 +14,6 @@ from animtool.clip.reduction.keys import ChannelKind
 from animtool.clip.reduction.tracks import KeyTrack
 from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.maths.fit import FittedKeys, evaluate_keys, fit_keys
 from animtool.rig.kinematics import WorldTransforms
@@ -56,7 +55,7 @@ def joint_bounds(
         ]
         bounds[matching_joints] = value
         if not matching_joints:
-            hint = name_hint(pattern, rig.names)
+            hint = rig.joint_hint(pattern)
             message = f"unknown joint {excerpt(pattern)} of {rig.name!r}"
             faults.append(Fault("CLIP020", message, where="reduce_at", hint=hint))
     if faults:

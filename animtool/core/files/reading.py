@@ -10,7 +10,7 @@ import io
 import os
 import re
 import stat
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import field
@@ -181,10 +181,15 @@ class PathResolver:
         return self._folders[folder] / path.name
 
 
+# Why a path that does not exist is not read.
+NO_FILE = "does not exist"
+
+
 def unreadable_error(path: Path, reason: OSError | str) -> FormatError:
     """Return the error for an unreadable file, spelled as the user did (IO001)."""
-    if isinstance(reason, FileNotFoundError | NotADirectoryError):
-        message = "does not exist"
+    is_missing = isinstance(reason, FileNotFoundError | NotADirectoryError)
+    if is_missing or reason == NO_FILE:
+        message = NO_FILE
     elif isinstance(reason, PermissionError):
         message = "cannot be read: you have no permission"
     else:
@@ -363,7 +368,7 @@ def not_a_file_reason(path: Path) -> str | None:
     try:
         status = path.stat()
     except (FileNotFoundError, NotADirectoryError, ValueError):
-        return "does not exist"
+        return NO_FILE
     except OSError as error:
         return error.strerror or "cannot be examined"
     return None if stat.S_ISREG(status.st_mode) else _non_file_kind(status)
@@ -379,12 +384,17 @@ def exists(path: Path) -> bool:
     return FileState.of(path) is not None
 
 
+# Number of levels of folders that are searched for a file that was moved.
+MAX_SEARCHED_DEPTH = 2
+
+
 def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     """Return a hint with the most similar name of an existing file.
 
-    The hint names the most similar file, or a folder similar to the first missing one;
-    if there is none, it names the missing folder. Relative paths start in ``folder``.
-    None if the file exists, or only the file is missing and no name is similar.
+    The hint names a file of the same name in a folder nearby, else the most similar
+    file, or a folder similar to the first missing one; if there is none, it names the
+    missing folder. Relative paths start in ``folder``. None if the file exists, or only
+    the file is missing and no name is similar.
     """
     if not exists(folder / path) and (hint := url_hint(path.as_posix())):
         return hint
@@ -392,6 +402,15 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
     missing_path = next((p for p in outermost_first if not exists(folder / p)), None)
     if missing_path is None or not missing_path.name:
         return None
+    if moved_files := _files_nearby(missing_path.parent, path.name, folder):
+        return f"did you mean {' or '.join(repr(file) for file in moved_files[:2])}?"
+    return _similar_path_hint(missing_path, folder, is_file=missing_path is path)
+
+
+def _similar_path_hint(
+    missing_path: Path, folder: Path, *, is_file: bool
+) -> str | None:
+    """Return a hint with the path of the most similar name in the same folder."""
     try:
         with os.scandir(folder / missing_path.parent) as entries:
             names = [entry.name for entry in islice(entries, MAX_SEARCHED_NAMES)]
@@ -402,12 +421,48 @@ def nearest_file(path: Path, folder: Path = Path()) -> str | None:
         missing_path.name.casefold(), sorted(name_by_casefold), 0.7
     )
     if not similar_name or not _equal_stems(missing_path.name, similar_name):
-        if missing_path is path or is_pattern(missing_path.name):
+        if is_file or is_pattern(missing_path.name):
             return None
         return f"there is no folder {missing_path.as_posix()!r}"
     suggested_path = missing_path.with_name(name_by_casefold[similar_name]).as_posix()
-    noun = "" if missing_path is path else "the folder "
+    noun = "" if is_file else "the folder "
     return f"did you mean {noun}{suggested_path!r}?"
+
+
+def _files_nearby(start: Path, name: str, folder: Path) -> list[str]:
+    """Return files of a name in the folders below a folder, the nearest first.
+
+    Those below its parent are next, if that is within ``folder``.
+    """
+    if is_pattern(name) or (start.anchor and not start.name):
+        return []
+    tops = [start]
+    if start.name and not start.anchor and ".." not in start.parts:
+        tops.append(start.parent)
+    files: dict[str, None] = {}
+    for top in tops:
+        subfolders = [top]
+        for _ in range(MAX_SEARCHED_DEPTH):
+            subfolders = _subfolders(subfolders, folder)
+            paths = [subfolder / name for subfolder in subfolders]
+            files |= dict.fromkeys(p.as_posix() for p in paths if exists(folder / p))
+    return list(files)
+
+
+def _subfolders(folders: Iterable[Path], root: Path) -> list[Path]:
+    """Return the visible folders in folders, as far as `MAX_SEARCHED_NAMES` go."""
+    remaining_count = MAX_SEARCHED_NAMES
+    subfolders: list[Path] = []
+    for folder in folders:
+        try:
+            with os.scandir(root / folder) as scanned:
+                entries = [*islice(scanned, remaining_count)]
+        except OSError:
+            continue
+        remaining_count -= len(entries)
+        names = sorted(entry.name for entry in entries if entry.is_dir())
+        subfolders += [folder / name for name in names if not name.startswith(".")]
+    return subfolders
 
 
 def _equal_stems(name: str, other: str) -> bool:

@@ -41,7 +41,8 @@ def stated_rate_note(
     message = f"Frame Time {header.frame_time} is {rate_label(file_rate)}, not "
     message += f"{argument('source.fps', f'{float(stated_rate):g}')}: {frame_count} "
     message += "frames last {:.3g} s instead of {:.3g} s".format(*durations)
-    hint = f"to resample the motion, use {argument('fps')} instead"
+    hint = f"leave it out to keep {rate_label(file_rate)}; to resample the motion, use "
+    hint += argument("fps")
     return [Fault("TAKE011", message, path, (), hint, Severity.NOTE)]
 
 

@@ -34,6 +34,7 @@ from animtool.formats.urdf.elements import (
     read_pose,
     require_text,
 )
+from animtool.formats.urdf.misplaced import STANDARD_TAGS, warn_about_misplaced
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Vector
@@ -47,7 +48,6 @@ EXPAND_HINT += "ROS)"
 MAX_PLAUSIBLE_RADIANS = 4 * math.pi
 MAX_PLAUSIBLE_DEGREES = 720.0
 _LIMIT_ATTRIBUTES = ("lower", "upper")
-_KNOWN_TAGS = {"link", "joint", "material"}
 # Elements of joints that are not read, and their labels.
 _IGNORED_JOINT_LABELS = {
     "dynamics": "damping and friction of joints",
@@ -85,6 +85,11 @@ def read_file(path: Path, diagnostics: XmlDiagnostics) -> UrdfFile:
             "URD006", root, message, "a robot is links, and joints between them"
         )
     _warn_about_degrees(root, diagnostics)
+    misplaced_count = len(diagnostics.notices)
+    warn_about_misplaced(root, diagnostics)
+    if diagnostics.faults:
+        # What is misplaced is missing elsewhere.
+        diagnostics.faults += diagnostics.notices[misplaced_count:]
     diagnostics.record_ignored(_ignored_labels(root))
     name = root.attributes.get("name", "")
     return UrdfFile(name, links, joints, *_actuated_joints(root))
@@ -151,7 +156,7 @@ def _ignored_labels(root: XmlElement) -> Iterator[str]:
     for element in root.children:
         if element.tag == "material":
             yield "materials"
-        elif element.tag not in _KNOWN_TAGS:
+        elif element.tag not in STANDARD_TAGS:
             yield f"<{element.tag[:40]}>"
         for child in element.children:
             if element.tag == "joint" and child.tag in _IGNORED_JOINT_LABELS:

@@ -25,7 +25,7 @@ from animtool.core.errors import (
     listed,
     warning,
 )
-from animtool.core.quantities import length_text
+from animtool.core.quantities import length_text, pixels_text
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths.so3 import multiply, rotate
@@ -35,6 +35,7 @@ from animtool.motion.take import Take, TakeStream
 from animtool.rig.head import HEAD, head_joints, local_rotations
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.remap import ShapeLinks, link_shapes, load_remap
+from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import JointType, Rig
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
@@ -55,6 +56,9 @@ MAX_NEUTRAL_RATIO = 2.0
 MAX_COMPARED_FRAMES = 24
 # Shapes of a face that is not neutral, as named in a message.
 MAX_NAMED_SHAPES, MIN_EXPRESSION = 3, 0.1
+# Landmarks that are mirrored miss the face by more than this fraction of its size, and
+# by less than this fraction of that as the mirror image.
+MIN_MIRRORED_RMS, MAX_MIRRORED_RATIO = 0.01, 0.5
 # A larger mean head rotation indicates that axes differ from the rig's.
 MAX_MEAN_ROTATION = np.radians(75)
 
@@ -168,7 +172,14 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
             camera=camera,
             progress=progress,
         )
-        neutral_warnings = _neutral_warnings(job.options, rig_face, fit, points)
+        mirror_warnings = _mirror_warnings(job.options, rig_face, fit, points, camera)
+        neutral_warnings = []
+        if not mirror_warnings:
+            neutral_warnings = _neutral_warnings(job.options, rig_face, fit, points)
+    if mirror_warnings:
+        # All landmarks are misplaced, and the head is rotated to make up for it.
+        other_notices = [n for n in fit.notices if n.code not in {"FAC104", "FAC105"}]
+        fit = replace(fit, notices=(*other_notices, *mirror_warnings))
     if neutral_warnings:
         # Landmarks of a face with other proportions do not match it.
         other_notices = [notice for notice in fit.notices if notice.code != "FAC105"]
@@ -186,6 +197,8 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
             translations=rotate(_Y_UP_FROM_Z_UP, fit.translations),
         )
     motion, head_notices = face_motion(fit, shape_links, rig, head_motion)
+    if mirror_warnings:
+        head_notices = [n for n in head_notices if n.code != "FAC110"]
     capture_notices = [*capture.notices, *point_notices, *fit.notices, *head_notices]
     notices += [notice.in_file(job.capture) for notice in capture_notices]
     take = drive_take(Take(rig, capture.clock, motion, tuple(notices)))
@@ -301,6 +314,48 @@ def _neutral_warnings(
     message += f" ({listed(shapes)})" if shapes else ""
     hint = "choose a frame with a relaxed, closed face, or leave it out"
     return [warning("FAC111", message, hint)]
+
+
+def _mirror_warnings(
+    options: FaceOptions,
+    rig_face: FaceModel,
+    fit: FaceFit,
+    points: FloatArray,
+    camera: FloatArray | None,
+) -> list[Fault]:
+    """Return a warning if landmarks fit much better mirrored (FAC112).
+
+    ``points`` are landmarks ``(F, N, 3)`` [m], or pixels ``(F, N, 2)`` of a camera.
+    """
+    is_close = fit.rms < MIN_MIRRORED_RMS * rig_face.size
+    if camera is None and options.neutral is None and is_close:
+        return []
+    frame_indices = np.linspace(0, len(points) - 1, MAX_COMPARED_FRAMES).astype(int)
+    sampled_points = points[np.unique(frame_indices)]
+    mirrored_points = sampled_points.copy()
+    mirrored_points[..., 0] *= -1.0
+    if camera is not None:
+        mirrored_points[..., 0] += 2 * camera[2]
+    errors = []
+    for landmarks in (sampled_points, mirrored_points):
+        try:
+            errors.append(
+                fit_face(rig_face, landmarks, 1.0, smooth=0.0, camera=camera).rms
+            )
+        except OptionError:  # no sampled frame has enough landmarks
+            return []
+    error, mirrored_error = errors
+    if mirrored_error > MAX_MIRRORED_RATIO * error:
+        return []
+    unit_text = pixels_text if camera is not None else length_text
+    message = f"landmarks fit the face within {unit_text(error)}, and mirrored within "
+    message += unit_text(mirrored_error)
+    hint = "negate x of the landmarks"
+    if camera is not None:
+        hint = "write the width of the image minus u"
+    if pair_sides(rig_face.names).left:
+        hint += ", or exchange the names of left and right landmarks"
+    return [warning("FAC112", message, hint)]
 
 
 def face_motion(

@@ -9,7 +9,6 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError
-from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.maths import so3
@@ -45,7 +44,7 @@ class JointCarrier:
         if self.joint in rig.names:
             return None
         message = f"unknown joint {self.joint!r} of {rig.name!r}"
-        hint = name_hint(self.joint, list(rig.names))
+        hint = rig.joint_hint(self.joint)
         return Fault("SIM053", message, hint=hint, where="joint")
 
     def poses(self, characters: CharacterMotions) -> Poses:

@@ -51,7 +51,8 @@ def job_trial(job: IkJob) -> Trial:
         value = f"{options.tolerance * 1000:.3g}mm"
         return [f"animtool ik {method} {options.method} {tolerance} {value}"]
 
-    return solve_trial(job.targets.name, job.options, solve, scene_text)
+    trial = solve_trial(job.targets.name, job.options, solve, scene_text)
+    return replace(trial, notices=tuple(inputs.notices))
 
 
 def pass_trial(take: Take, tracks: TargetTracks, options: TakeOptions) -> Trial:

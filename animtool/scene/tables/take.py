@@ -80,14 +80,12 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
         raise OptionError(Fault("SCN062", message, str(path)))
     stream = plan.takes[0].stream
     is_curved = stream.curve is not None and not stream.is_altered
-    full_take = stream.collect()
-    take = _in_range(full_take, plan)
+    take = _in_range(stream.collect(), plan)
     rate = plan.options.fps or take.clock.rate
     reference = _ReferencePoints.of(take, rate, is_curved=is_curved)
     frames = plan.options.frame_range
     step = 1 if frames is None else frames.step
     rate /= step  # every second frame of the output is half its rate
-    new_notices = [notice for notice in take.notices if notice not in full_take.notices]
 
     def reopen_source() -> Source:
         # Results of passes are computed once.
@@ -99,10 +97,13 @@ def take_trials(source: Source, options: BakeOptions | None = None) -> list[Tria
     sample_trial = _sample_trial(
         path, reopen_source, plan, take, reference, rate, is_curved=is_curved
     )
-    notices = tuple(notice.in_file(path) for notice in new_notices)
+    notices = [n.in_file(path) for n in (*plan.notices, *take.notices)]
     output_take = take if step == 1 else resampled(take, rate)
     key_trial = _key_trial(path, output_take, dict(options.reduce_at))
-    return [replace(sample_trial, notices=notices), key_trial]
+    return [
+        replace(sample_trial, notices=tuple(dict.fromkeys(notices))),
+        key_trial,
+    ]
 
 
 def _in_range(take: Take, plan: BakePlan) -> Take:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity, percent_text, warning
 from animtool.motion.frames import PointsFrame
 from animtool.sim.checks import EnergyWatch
 from animtool.sim.colliders.bodies import Wrenches
@@ -344,12 +344,16 @@ class SpringSimulation(MotionCounts):
         """Return the settings to compare: solvers with steps around their defaults."""
         return trial_settings(self.system, self.options, self.begin)
 
-    @property
-    def is_overlong(self) -> bool:
-        """Whether the strain is excessive in a body whose springs cannot tear."""
+    def strain_notices(self, prefix: str = "") -> list[Fault]:
+        """Return a warning if springs that cannot tear were strained a lot (SIM187)."""
         can_tear = np.isfinite(self.system.body.springs.limit).any()
         max_length = MAX_LENGTH_RATIO * (1 + self._initial_strain)
-        return bool(not can_tear and 1 + self.max_strain > max_length)
+        if can_tear or 1 + self.max_strain <= max_length:
+            return []
+        strain = percent_text(self.max_strain)
+        message = f"{prefix}springs stretch {strain} beyond their length at rest"
+        hint = "raise the stiffness [N/m] of each spring, or lower the mass [kg]"
+        return [warning("SIM187", message, hint)]
 
 
 def as_errors(notices: Sequence[Fault]) -> list[Fault]:

@@ -34,6 +34,10 @@ MAX_HALVINGS = 8
 COMPARISON_TIMES = 64
 
 
+# Codes of notices that the frames of a run give again.
+FRAME_CODES = frozenset({"SIM187", "SIM196"})
+
+
 def simulate_springs(
     system: SpringSystem,
     times: ArrayLike,
@@ -147,9 +151,11 @@ def _run_plan(
     last_grid, states, energies = start_grid, [], []
     for t in times.tolist():
         try:
-            state = simulation_run.sample(t)[0].motion
+            spring_state = simulation_run.sample(t)[0]
         except StoppedError:
             break
+        simulation.measure(spring_state, t)
+        state = spring_state.motion
         last_grid = simulation.grid
         states.append(state)
         energies.append(simulation.energy_of(t, state))
@@ -160,7 +166,7 @@ def _run_plan(
         np.array(states),
         np.array(energies),
         stats,
-        tuple(simulation.notices),
+        (*simulation.notices, *simulation.strain_notices()),
         Checkpoint(float(reached_times[-1]), states[-1], last_grid),
         second_order=True,
         solver=plan.choice.solver,
@@ -193,7 +199,7 @@ def plan_springs(
         motion = simulate_springs(system, times, options, progress=progress)
         if motion.stats.status is not Status.OK:
             raise StoppedError(as_errors(motion.notices), motion.stats)
-        notices += motion.notices
+        notices += [n for n in motion.notices if n.code not in FRAME_CODES]
         error, reason = motion.stats.error, motion.reason
         options = replace(options, solver=motion.solver, step=motion.step, error=None)
     choice = choose_solver(

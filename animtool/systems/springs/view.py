@@ -303,12 +303,7 @@ class SpringView:
         ]
         if self.is_first:
             notices += simulation.notices
-            if simulation.is_overlong:
-                strain = percent_text(simulation.max_strain)
-                message = f"{name}: springs stretch {strain} beyond their length "
-                hint = "raise the stiffness [N/m] of each spring, or "
-                hint += "lower the mass [kg]"
-                notices.append(warning("SIM187", f"{message}at rest", hint))
+            notices += simulation.strain_notices(f"{name}: ")
             notices.append(self._note(int(state.torn.sum())))
         return Diagnostics(values=values, notices=notices)
 

@@ -72,6 +72,7 @@ def test_other_conventions_are_refused_and_named(
     assert fault.code == "CAM014"
     description, remedy = convention.description_and_remedy
     assert fault.message.endswith(f" px if {description}")
+    assert len(fault.message) < 200
     assert fault.hint is not None
     assert fault.hint.startswith(remedy)
     found = [convention.convert(camera) for camera in written.cameras]

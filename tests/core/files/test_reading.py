@@ -87,6 +87,30 @@ def test_the_nearest_file(tree: Path, name: str, meant: str | None) -> None:
     assert nearest_file(Path(name), tree) == meant
 
 
+@pytest.mark.parametrize(
+    ("name", "meant"),
+    [
+        ("walk.bvh", "did you mean 'takes/left/walk.bvh' or 'takes/right/walk.bvh'?"),
+        ("takes/walk.bvh", "did you mean 'takes/left/walk.bvh' or "),
+        ("takes/left/run.bvh", "did you mean 'takes/right/run.bvh'?"),
+        ("takes/old/run.bvh", "did you mean 'takes/right/run.bvh'?"),
+        ("takes/old/jump.bvh", "there is no folder 'takes/old'"),
+        ("takes/left/hid.bvh", None),
+        ("takes/deep.bvh", None),
+        ("takes/left/*.bvh", None),
+    ],
+)
+def test_a_file_that_was_moved_is_found_nearby(
+    tmp_path: Path, name: str, meant: str | None
+) -> None:
+    for path in ("left/walk", "right/walk", "right/run", ".git/hid", "a/b/c/deep"):
+        file = tmp_path / "takes" / f"{path}.bvh"
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.touch()
+    hint = nearest_file(Path(name), tmp_path)
+    assert hint == meant or (meant and str(hint).startswith(meant))
+
+
 def test_the_nearest_folder(tree: Path) -> None:
     (tree / "takes").mkdir()
     hint = nearest_file(tree / "take/a.bvh")

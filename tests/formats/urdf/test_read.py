@@ -130,7 +130,6 @@ MIMIC = '<mimic joint="{}"/>'
         ("</robot>", '<link name="b"/></robot>', "URD012", "'base', 'b'"),
         ("0 2 0", "0 0 0", "URD013", "'elbow'.*no length"),
         ('lower="-2"', 'lower="3"', "URD014", "'elbow'.*3 is above its upper limit 2"),
-        ("<limit", "<limits", "URD014", "'elbow'.*no <limit>"),
         (
             "<axis xyz",
             f"{MIMIC.format('el')}<axis xyz",
@@ -224,6 +223,52 @@ def test_what_is_odd_is_noted(tmp_path: Path, old: str, new: str, code: str) -> 
     assert len(found) == len(set(found))
     if code == "":
         assert "URD102" not in found
+
+
+AXIS = '<axis xyz="0 2 0"/>'
+LIMIT = '<limit lower="-2" upper="2" effort="1" velocity="1"/>'
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "words"),
+    [
+        (f"{AXIS}\n    {LIMIT}\n  </joint>", f"{LIMIT}</joint>\n {AXIS}", 18,
+         "'elbow' .line 15. has none and turns about x; move it into <joint name="),
+        (f'rpy="0.1 0 0"/>{AXIS}', f'rpy="0.1 0 0">{AXIS}</origin>', 17,
+         "<axis> in <origin>.*'elbow'"),
+        (f"{AXIS}\n", f"{AXIS.replace('axis', 'axs')}\n", 17, "mean <axis>"),
+        (AXIS, AXIS.replace("xyz", "xzy"), 17, "xzy of <axis>.*mean xyz"),
+        (AXIS, AXIS.replace("xyz", "value"), 17, "value of <axis>.*are xyz"),
+        ('rpy="0.1 0 0"', 'rypy="0.1 0 0"', 17, "rypy of <origin>.*mean rpy"),
+        ("<collision><origin", "<visuals/><collision><origin", 7, "mean <visual>"),
+        ('<mass value="2"/>\n', '</inertial><mass value="2"/><inertial>\n', 5,
+         "<mass> in <link>.*belongs in <inertial>"),
+        ("<parent link=\"upper\"/>", "<joint name=\"x\"/><parent link=\"upper\"/>", 16,
+         "<joint> in <joint>"),
+    ],
+)  # fmt: skip
+def test_misplaced_and_misspelt_elements_are_named(
+    tmp_path: Path, old: str, new: str, line: int, words: str
+) -> None:
+    assert old in ARM
+    notices = read_urdf_rig(write(tmp_path, ARM.replace(old, new, 1))).notices
+    (found,) = (notice for notice in notices if notice.code == "URD112")
+    assert (found.severity, found.lines) == (Severity.WARNING, (line,))
+    assert re.search(words, str(found))
+
+
+def test_extensions_may_hold_any_element(tmp_path: Path) -> None:
+    more = "<gazebo><axis/><joint/></gazebo><sensor><origin/><limit/></sensor>"
+    text = ARM.replace("</robot>", f"{more}</robot>")
+    text = text.replace("<geometry>", "<verbose/><contact><limit/></contact><geometry>")
+    assert "URD112" not in codes(write(tmp_path, text))
+
+
+def test_what_is_misplaced_is_named_where_it_is_missing(tmp_path: Path) -> None:
+    moved = ARM.replace(LIMIT, "").replace("</robot>", f"{LIMIT}</robot>")
+    for text in (moved, ARM.replace("<limit", "<limits")):
+        with raises(FormatError, "URD014", "URD112", match="'elbow'.*no <limit>"):
+            read_urdf_rig(write(tmp_path, text))
 
 
 def test_a_mimic_beyond_its_limits_is_named(tmp_path: Path) -> None:

@@ -348,3 +348,18 @@ def test_what_is_torn_off_may_fall_as_far_as_it_likes() -> None:
     assert motion.torn.all()
     assert motion.stats.status is Status.OK
     assert motion.positions[-1, 1, 2] < -40
+
+
+@pytest.mark.parametrize(("stiffness", "said"), [(1e3, ["SIM187"]), (1e6, [])])
+def test_springs_that_double_in_length_are_named(
+    stiffness: float, said: list[str]
+) -> None:
+    family = Family(stiffness, damping=2.0)
+    line = rope([0, 0, 0], [0.9, 0, 0], 10, family, mass=0.01, tip_mass=10.0)
+    system = SpringSystem(line, pins=Pins([0]))
+    for options in (None, SpringOptions(error=1.0)):
+        motion = simulate_springs(system, np.arange(25) / 24, options)
+        assert [notice.code for notice in motion.notices] == said
+        lengths = np.linalg.norm(np.diff(motion.positions, axis=1), axis=2)
+        percent = f"{100 * float(f'{lengths.max() / 0.1 - 1:.2g}'):.0f}%"
+        assert all(percent in notice.message for notice in motion.notices)
