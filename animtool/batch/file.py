@@ -191,7 +191,7 @@ def load_batch(path: Path | str, *, uses_timeline: bool = False) -> BatchSpec:
         FormatError: With every fault of the file, each with line and column.
         OptionError: The project's settings are malformed.
     """
-    return parse_batch(read_document(Path(path)), uses_timeline=uses_timeline)
+    return parse_batch(read_document(Path(path), "batch"), uses_timeline=uses_timeline)
 
 
 def parse_batch(document: Document, *, uses_timeline: bool = False) -> BatchSpec:

@@ -69,7 +69,7 @@ class ClipFile:
 
 def open_clip(path: Path | str) -> ClipFile:
     """Read a clip file; `load_clip` checks it against its rig."""
-    return clip_of_document(read_document(Path(path)))
+    return clip_of_document(read_document(Path(path), "clip"))
 
 
 def clip_of_document(document: Document) -> ClipFile:

@@ -14,6 +14,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, OptionError, counted, excerpt
+from animtool.core.files.reading import require_file
 from animtool.core.names import most_similar
 from animtool.core.old_names import rename_attributes
 from animtool.core.plugins import load_object
@@ -225,6 +226,7 @@ class Rig:
             OptionError: Its suffix is not supported.
         """
         path = Path(path)
+        require_file(path, "rig")
         return cast(Rig, find_reader(path).rig_opener(path)(path))
 
     def __repr__(self) -> str:

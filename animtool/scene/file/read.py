@@ -75,7 +75,7 @@ def load_scene(
     Raises:
         FormatError: With every fault of the file, each with line and column.
     """
-    return parse_scene(read_document(Path(path)), variables, parts=parts)
+    return parse_scene(read_document(Path(path), "scene"), variables, parts=parts)
 
 
 def parse_scene(
