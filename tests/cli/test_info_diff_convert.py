@@ -72,7 +72,8 @@ def test_diff_names_what_one_has_not(takes: tuple[Path, Path], tmp_path: Path) -
     said = " ".join(found["mismatches"])
     assert not found["same"]
     assert "Spine" in said
-    assert "6 frames instead of 5" in said
+    assert "6 frames (1 to 6)" in said
+    assert "5 (1 to 5)" in said
 
 
 def test_bvh_to_usd_to_bvh_to_usd(takes: tuple[Path, Path], tmp_path: Path) -> None:

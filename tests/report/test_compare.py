@@ -111,7 +111,9 @@ def test_other_rates_and_lengths_are_mismatches(take: Take) -> None:
         clock=replace(take.clock, count=7),
         motion=take.motion.select(slice(0, 7)),
     )
-    assert compare_takes(take, shorter).mismatches == ["8 frames instead of 7"]
+    (text,) = compare_takes(take, shorter).mismatches
+    assert "8 frames (1 to 8)" in text
+    assert "7 (1 to 7)" in text
 
 
 def test_time_codes_are_those_of_the_first(take: Take) -> None:
