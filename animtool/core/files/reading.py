@@ -197,8 +197,11 @@ def unreadable_error(
             reason = reason.strerror or str(reason)
         subject = "it " if reason.startswith("is a ") else ""
         message = f"cannot be read: {subject}{reason}"
-    hint = unexpanded_hint(str(path)) or nearest_file(path)
-    hint = hint or _folder_hint(path, kind)
+    if isinstance(reason, PermissionError):
+        hint: str | None = "allow reading it: chmod u+r"
+    else:
+        hint = unexpanded_hint(str(path)) or nearest_file(path)
+        hint = hint or _folder_hint(path, kind)
     return FormatError(Fault("IO001", message, str(path), (), hint))
 
 
