@@ -98,7 +98,7 @@ def _bracket_problem(text: str, position: int) -> JsonProblem:
         return _problem(text, position, f"{bracket!r} closes nothing", "remove it")
     opening = text[open_brackets[-1]]
     if _CLOSING[opening] != bracket:
-        line = _place(text, open_brackets[-1])[0]
+        line = _line_and_column(text, open_brackets[-1])[0]
         message = f"{opening!r} of line {line} is not closed before {bracket!r}"
         outer_brackets = [_CLOSING[text[i]] for i in open_brackets]
         relation = "before" if bracket in outer_brackets else "in place of"
@@ -125,7 +125,7 @@ def _word_problem(text: str, position: int) -> JsonProblem:
 def _problem(
     text: str, position: int, message: str, repair: str | None = None
 ) -> JsonProblem:
-    return JsonProblem(*_place(text, position), message, repair)
+    return JsonProblem(*_line_and_column(text, position), message, repair)
 
 
 def _end_problem(text: str) -> JsonProblem:
@@ -134,12 +134,12 @@ def _end_problem(text: str) -> JsonProblem:
     if not open_brackets:
         return _problem(text, len(text.rstrip()), "the JSON has no value")
     bracket = text[open_brackets[-1]]
-    line = _place(text, open_brackets[-1])[0]
+    line = _line_and_column(text, open_brackets[-1])[0]
     message = f"the JSON ends too early: {bracket!r} of line {line} is not closed"
     return _problem(text, len(text.rstrip()), message)
 
 
-def _place(text: str, position: int) -> tuple[int, int]:
+def _line_and_column(text: str, position: int) -> tuple[int, int]:
     """Return line and column of a position, from 1."""
     line_start = text.rfind("\n", 0, position) + 1
     return text.count("\n", 0, position) + 1, position - line_start + 1

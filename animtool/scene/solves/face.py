@@ -211,8 +211,8 @@ def _load_model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
         return face_model(load_landmarks(job.landmarks), rig)
     if capture.model is None:
         message = "does not say where its landmarks are on the rig"
-        hint = f"name a landmarks file with {argument('landmarks', 'FILE')}, or store the "
-        hint += "face in an npz: neutral_mm, delta_mm, shape_names"
+        hint = f"name a landmarks file with {argument('landmarks', 'FILE')}, or store "
+        hint += "the face in an npz: neutral_mm, delta_mm, shape_names"
         raise OptionError(Fault("FAC003", message, str(job.capture), (), hint))
     return capture.model
 
