@@ -104,9 +104,9 @@ class PackageFolders:
         similar_name = self._similar_file(name)
         if similar_name is not None:
             names.append(similar_name)
-        return next((other for other in names if self._is_found(other)), None)
+        return next((other for other in names if self._leads_to_file(other)), None)
 
-    def _is_found(self, name: str) -> bool:
+    def _leads_to_file(self, name: str) -> bool:
         try:
             path = self.find(name)
         except OutsideError:
