@@ -112,6 +112,14 @@ def parse_scene(
     return scene
 
 
+def check_scene_values(document: Document) -> None:
+    """Record the faults of keys and values of a scene, without opening its files."""
+    _expand_short_forms(document)
+    model_type = model_for(document.value)
+    resolve_variables(document, model_type, {}, ())
+    validate_document(document, model_type)
+
+
 def _expand_short_forms(document: Document) -> None:
     """Expand ``source: walk.bvh``, ``output: a.usdc`` and ``range: 1-24``."""
     value = document.value
