@@ -27,10 +27,7 @@ def coincident_pairs(bodies: RigidBodies, joints: Joints) -> list[tuple[int, int
         if float(np.linalg.norm(parameters[7:10]))
         <= _MAX_GIMBAL_OFFSET * bodies.bounding_radii[joint.bodies[1]]
     }
-    shape_texts = [
-        repr(kind.model.model_dump(include={"shape", "shapes"}))
-        for kind in bodies.kinds
-    ]
+    shape_keys = [_shape_key(kind) for kind in bodies.kinds]
     first_bodies: dict[tuple[object, ...], int] = {}
     pairs = []
     for i, pose in enumerate(bodies.poses):
