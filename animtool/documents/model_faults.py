@@ -247,7 +247,10 @@ class ModelFaults:
         """Return a hint if one or two mappings near an ancestor accept an unknown key.
 
         With the key ``share`` in a joint of a map file, it is the list ``twists``.
+        Every list may have names.
         """
+        if key == "name":
+            return None
         for depth in reversed(range(len(parent))):
             ancestor = parent[:depth]
             owners: dict[str, list[type[BaseModel]]] = {}
