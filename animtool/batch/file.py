@@ -295,7 +295,8 @@ class _BatchReader:
             return variants.names
         if isinstance(entry, str):
             return None
-        return tuple(entry[0] if isinstance(entry, list) and entry else entry or ())
+        first_row = entry[0] if isinstance(entry, list) and entry else entry
+        return tuple(first_row) if isinstance(first_row, dict) else ()
 
     def _check_output_names(self, columns: Sequence[str]) -> None:
         """Record a fault for each unknown name in braces in the output."""

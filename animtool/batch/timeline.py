@@ -43,11 +43,12 @@ def check_timeline_file(path: Path) -> None:
         raise FormatError(replace(error.faults[0], code="BAT041")) from error
     except json.JSONDecodeError as error:
         syntax = json_problem(error)
-        lines, column = (syntax.line,), syntax.column
         hint = syntax.repair or "copy or export the timeline again"
+        fault = Fault("BAT041", syntax.message, str(path), hint=hint)
         if path.suffix.lower() == ".otioz":
-            lines, column, hint = (), None, "export the timeline again"
-        fault = Fault("BAT041", syntax.message, str(path), lines, hint, column=column)
+            fault = replace(fault, hint="export the timeline again")
+        else:
+            fault = replace(fault, lines=(syntax.line,), column=syntax.column)
         raise FormatError(fault) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or excerpt(str(error), 200)

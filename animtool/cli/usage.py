@@ -162,8 +162,8 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
     if exchanged_option is not None and not Path(fault.path).exists():
         flag, file = exchanged_option
         message = f"{fault.message}, and {flag} is the file {file}"
-        hint = f"write {_exchanged_command(context, fault.path, file)}"
-        return replace(fault, message=message, hint=hint)
+        command = _exchanged_command(context, fault.path, file)
+        return replace(fault, message=message, hint=f"write {command}")
     for option in _command_options(context.command):
         value = context.params.get(str(option.name))
         if isinstance(value, Path) and str(value) == fault.path:

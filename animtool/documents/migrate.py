@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from animtool.core.arguments import argument
 from animtool.core.errors import (
@@ -42,6 +42,9 @@ from animtool.documents.versions import (
     renamed_keys,
 )
 from animtool.documents.yaml_text import comments_in, json_text, yaml_text
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
 
 _SCENE_CHECK = "animtool.scene.file.read:check_scene_values"
 # Codes of unknown keys, missing keys and invalid values.
@@ -219,9 +222,9 @@ def _with_value_faults(plan: Migration) -> Migration:
     """
     document = parse_document(plan.new_text, plan.path)
     if plan.kind == "scene":
-        check_values: Callable[[Document], object] = load_object(_SCENE_CHECK)
+        check_values = cast("Callable[[Document], object]", load_object(_SCENE_CHECK))
     else:
-        model = load_object(FILE_MODELS[plan.kind])
+        model = cast("type[BaseModel]", load_object(FILE_MODELS[plan.kind]))
         check_values = partial(validate_document, model=model)
     # Too many faults are raised at once.
     with contextlib.suppress(FormatError):

@@ -66,3 +66,13 @@ def test_a_neutral_frame_with_an_expression(tmp_path: Path, landmarks: Path) -> 
         assert done.code == 0, done.stderr
         assert done.stderr.count("FAC111 with --neutral 7 ") == found
         assert "FAC105" not in done.stderr
+
+
+def test_landmarks_without_positions_on_the_rig(root: Path, tmp_path: Path) -> None:
+    done = animtool(
+        *("mocap", "face", root / "samples/face/speech.npz"),
+        *("--rig", root / "rigs/head/head.rig.yaml", "-o", tmp_path / "a.usdc"),
+    )
+    assert done.code == 2
+    assert "FAC003" in done.stderr
+    assert "--landmarks FILE" in done.stderr

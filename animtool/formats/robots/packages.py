@@ -85,11 +85,13 @@ class PackageFolders:
         uri_match = _URI_SCHEME_PATTERN.fullmatch(name)
         if uri_match is None:
             relative_path = _LEADING_DOTS.sub("", name)
+            for package in self.packages:  # in a folder of another machine
+                relative_path = relative_path.rpartition(f"/{package}/")[2]
         elif uri_match[1].lower() in _PACKAGE_SCHEMES:
             relative_path = uri_match[2].lstrip("/").partition("/")[2]
         else:
             return None
-        if not relative_path:
+        if not relative_path or relative_path.startswith("/"):
             return None
         names = [f"package://{package}/{relative_path}" for package in self.packages]
         for root in self.roots:

@@ -58,6 +58,9 @@ def find_mesh_files(file: UrdfFile, path: Path, notes: XmlNotes) -> dict[str, Pa
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
+            suggestion = folders.suggest(name)
+            if suggestion is not None:
+                hint = f"write {suggestion}"
             location = element_label("link", link.name)
             notes.add("URD016", mesh, message, hint, location=location)
             continue
