@@ -10,6 +10,7 @@ from typing import Any
 
 from animtool.batch.spans import Span
 from animtool.batch.timeline import FRAME_TOLERANCE
+from animtool.core.arguments import argument
 from animtool.core.config import Config
 from animtool.core.errors import Severity, excerpt
 from animtool.core.names import name_hint
@@ -120,6 +121,14 @@ SHOT_NAMES = (
 
 
 @dataclass(frozen=True, slots=True)
+class CutConflict:
+    """Settings that begin a cut at different frames."""
+
+    message: str
+    is_general: bool  # whether it is the same for every clip
+
+
+@dataclass(frozen=True, slots=True)
 class CutContext:
     """Settings of a shot by precedence: options, clip, timeline, project."""
 
@@ -161,14 +170,14 @@ class CutContext:
             text = ";".join(text.rsplit(":", 1))
         return parse_timecode(text, rate) / rate
 
-    def cut_in(self) -> tuple[int, list[str]]:
-        """Return the first frame of the cut, and messages about conflicting settings.
+    def cut_in(self) -> tuple[int, CutConflict | None]:
+        """Return the first frame of the cut, and the conflict of settings, if any.
 
         A start includes the head handle. The project's default is 1001.
         """
-        conflicts, project = list[str](), self.project
+        project = self.project
         levels = {
-            "options": self.options,
+            "": self.options,
             "its metadata": self.clip,
             "the timeline's": self.timeline,
             "settings": CutOptions(cut_start=project.timeline.cut_start),
@@ -176,16 +185,31 @@ class CutContext:
         for level_name, level in levels.items():
             start, cut_start = level.start_frame, level.cut_start
             cut_begin = None if start is None else start + self.handles
-            if cut_begin is not None and cut_start not in {None, cut_begin}:
-                message = f"{level_name}: start_frame {start} with handles of "
-                message += f"{self.handles} puts the start of the cut at {cut_begin}"
-                conflicts.append(f"{message}, but cut_start is {cut_start}")
             if cut_start is not None:
-                return cut_start, conflicts
+                has_conflict = cut_begin not in {None, cut_start}
+                conflict = self._conflict(level_name, level) if has_conflict else None
+                return cut_start, conflict
             if cut_begin is not None:
-                return cut_begin, conflicts
+                return cut_begin, None
         start = SHOT_START if project.start is None else int(project.start)
-        return start + self.handles, conflicts
+        return start + self.handles, None
+
+    def _conflict(self, level_name: str, level: CutOptions) -> CutConflict:
+        """Return the conflict of start and cut_start of a level; "" is the options."""
+        start, cut_start, handles = level.start_frame, level.cut_start, self.handles
+        assert start is not None
+        texts = f"start_frame {start}", f"cut_start is {cut_start}"
+        handles_text = f"handles of {handles}"
+        if not level_name:
+            texts = argument("start", start), f"{argument('cut_start')} is {cut_start}"
+            if level.handles is not None:
+                handles_text = argument("handles", handles)
+        message = f"{texts[0]} with {handles_text} begins the cut at {start + handles}"
+        message = f"{message}, but {texts[1]}"
+        is_general = not level_name and level.handles is not None
+        return CutConflict(
+            f"{level_name}: {message}" if level_name else message, is_general
+        )
 
 
 def build_shot(

@@ -221,8 +221,10 @@ class _CutReader:
         self.cuts.notices.append(fault)
 
     def add_fault(self, code: str, message: str, hint: str | None = None) -> None:
-        """Record an error of the timeline."""
-        self.faults.append(Fault(code, message, str(self.path), (), hint))
+        """Record an error of the timeline, once."""
+        fault = Fault(code, message, str(self.path), (), hint)
+        if fault not in self.faults:
+            self.faults.append(fault)
 
     def read_metadata(
         self, timeline_object: Any, owner_label: str, *, allows_fps: bool = False
@@ -253,8 +255,10 @@ class _CutReader:
             return
         metadata = (self.read_metadata(clip, clip_text), self.timeline_metadata)
         context = CutContext(self.options, *metadata, find_config(self.path))
-        for message in context.cut_in()[1]:
-            self.add_fault("BAT047", f"{clip_text}: {message}", "write one of them")
+        conflict = context.cut_in()[1]
+        if conflict is not None:
+            prefix = "" if conflict.is_general else f"{clip_text}: "
+            self.add_fault("BAT047", prefix + conflict.message, "leave one of them out")
         media_range = clip.media_reference.available_range
         is_drop_frame = self.is_drop_frame
         try:

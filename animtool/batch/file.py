@@ -19,6 +19,7 @@ from animtool.batch.spec import BatchSpec, Limits, Override, parse_bytes
 from animtool.batch.variants import (
     MAX_VARIANTS,
     TOO_MANY_TEXT,
+    BackwardRangeError,
     Variants,
     name_problems,
     range_values,
@@ -164,6 +165,9 @@ class _VariantReader:
                 yield from range_values(*texts)
             else:
                 yield from values_of_text(values)
+        except BackwardRangeError as error:
+            hint = error.key_hint if isinstance(values, RangeModel) else error.hint
+            self.document.add("BAT064", location, str(error), hint)
         except ValueError as error:
             self.document.add("BAT064", location, str(error))
 
@@ -187,7 +191,7 @@ def load_batch(path: Path | str, *, uses_timeline: bool = False) -> BatchSpec:
         FormatError: With every fault of the file, each with line and column.
         OptionError: The project's settings are malformed.
     """
-    return parse_batch(read_document(Path(path)), uses_timeline=uses_timeline)
+    return parse_batch(read_document(Path(path), "batch"), uses_timeline=uses_timeline)
 
 
 def parse_batch(document: Document, *, uses_timeline: bool = False) -> BatchSpec:
@@ -228,11 +232,12 @@ class _BatchReader:
             hint = "files, folders and globs; a scene alone can have variants"
             self.document.add("DOC021", location, message, hint)
         variants = self._variants()
-        columns = () if variants is None else variants.names
-        self._check_output_names(columns)
+        columns = self._column_names(variants)
+        if columns is not None:
+            self._check_output_names(columns)
         memory_key = ("limits", "memory")
         memory = self.reader.parse_value(memory_key, model.limits.memory, parse_bytes)
-        reserved_names = {*self._reserved_names(), *columns}
+        reserved_names = {*self._reserved_names(), *(columns or ())}
         return BatchSpec(
             tuple(model.inputs),
             path.parent,
@@ -281,6 +286,16 @@ class _BatchReader:
             return None if path is None else read_variants(path)
         reserved_names = {*self._reserved_names(), *self.model.variables}
         return read_listed_variants(self.document, variants, reserved_names)
+
+    def _column_names(self, variants: Variants | None) -> Sequence[str] | None:
+        """Return the names of columns, even with faulty values; None if unknown."""
+        entry = self.model.variants
+        if variants is not None:
+            return variants.names
+        if isinstance(entry, str):
+            return None
+        first_row = entry[0] if isinstance(entry, list) and entry else entry
+        return tuple(first_row) if isinstance(first_row, dict) else ()
 
     def _check_output_names(self, columns: Sequence[str]) -> None:
         """Record a fault for each unknown name in braces in the output."""

@@ -22,6 +22,7 @@ from animtool.core.errors import (
     OutputError,
     first_faults,
 )
+from animtool.core.files.commit import WRITE_HINT
 from animtool.core.files.output import name_key
 from animtool.core.files.reading import FileState, PathResolver
 from animtool.core.record import dataclass
@@ -259,7 +260,9 @@ def _unwritable_folders(folders: Iterable[Path]) -> Iterator[Fault]:
             reason = "no permission"
         if reason is not None:
             message = f"cannot be written to: {reason}"
-            yield Fault("OUT002", message, str(existing_folder))
+            hint = f"choose another {argument('output')}"
+            hint = WRITE_HINT if reason == "no permission" else hint
+            yield Fault("OUT002", message, str(existing_folder), (), hint)
 
 
 def check_overwrites(

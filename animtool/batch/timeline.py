@@ -19,6 +19,7 @@ from zipfile import ZipFile
 
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.reading import FileState, open_input
+from animtool.core.json_problems import json_problem
 from animtool.core.rates import rate_from_float
 
 # Maximum size; a feature film with all metadata has a fifth [bytes].
@@ -40,6 +41,15 @@ def check_timeline_file(path: Path) -> None:
         problem = _text_problem(path)
     except FormatError as error:
         raise FormatError(replace(error.faults[0], code="BAT041")) from error
+    except json.JSONDecodeError as error:
+        syntax = json_problem(error)
+        hint = syntax.repair or "copy or export the timeline again"
+        fault = Fault("BAT041", syntax.message, str(path), hint=hint)
+        if path.suffix.lower() == ".otioz":
+            fault = replace(fault, hint="export the timeline again")
+        else:
+            fault = replace(fault, lines=(syntax.line,), column=syntax.column)
+        raise FormatError(fault) from error
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or excerpt(str(error), 200)
         problem = f"cannot be read as a timeline: {reason}"

@@ -96,6 +96,9 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
         else:
             try:
                 columns[name] = values_of_text(text.partition("=")[2])
+            except BackwardRangeError as error:
+                message, hint = f"{option_text}: {error}", error.hint
+                faults.append(Fault("BAT064", message, hint=hint))
             except ValueError as error:
                 faults.append(Fault("BAT064", f"{option_text}: {error}", hint=hint))
     if not faults:
@@ -174,6 +177,32 @@ def values_of_text(text: str) -> list[str]:
     return values
 
 
+class BackwardRangeError(ValueError):
+    """A range whose step leads away from its last number.
+
+    Attributes:
+        hint: Ranges that could be meant, as text.
+        key_hint: The same with the keys of files.
+
+    >>> BackwardRangeError("4", "1", "1").hint
+    'write 1..4, or 4..1/-1 to count down'
+    """
+
+    def __init__(self, first: str, last: str, step: str) -> None:
+        """Compare the numbers of a range, given as text."""
+        first, last, step = (text.strip() for text in (first, last, step))
+        is_descending = Decimal(last) < Decimal(first)
+        direction = "down" if is_descending else "up"
+        super().__init__(f"{first}..{last} counts {direction}, but its step is {step}")
+        low, high = (last, first) if is_descending else (first, last)
+        size = step.lstrip("+-")
+        up = f"{low}..{high}" + ("" if Decimal(size) == 1 else f"/{size}")
+        self.hint = f"write {up}, or {high}..{low}/-{size} to count down"
+        self.key_hint = (
+            f"write step: {'-' * is_descending}{size}, or exchange start and stop"
+        )
+
+
 def range_values(first: str, last: str, step: str = "1") -> list[str]:
     """Return the numbers of a range; the last is included if the steps reach it.
 
@@ -181,8 +210,10 @@ def range_values(first: str, last: str, step: str = "1") -> list[str]:
     (['0', '0.1', '0.2', '0.3'], ['3', '2', '1'])
     """
     first_value, last_value, step_value = map(_parse_decimal, (first, last, step))
-    if step_value == 0 or (last_value - first_value) / step_value < 0:
-        raise ValueError(f"steps of {step} do not lead from {first} to {last}")
+    if step_value == 0:
+        raise ValueError(f"the step from {first} to {last} is 0")
+    if (last_value - first_value) / step_value < 0:
+        raise BackwardRangeError(first, last, step)
     value_count = int((last_value - first_value) / step_value) + 1
     if value_count > MAX_VARIANTS:
         raise ValueError(f"a range of {counted(value_count, 'value')}: {TOO_MANY_TEXT}")

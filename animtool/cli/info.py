@@ -294,8 +294,12 @@ def info(console: Console, /, files: tuple[Path, ...], **params: Any) -> None:
         for description in descriptions:
             console.result(*TEMPLATES[type(description).__name__].text(description))
             console.faults(description.notices)
-    for failure in errors:
-        console.faults(failure.faults)
+    if errors:
+        from animtool.cli.usage import with_option
+
+        context = click.get_current_context()
+        faults = [fault for failure in errors for fault in failure.faults]
+        console.faults([with_option(fault, context) for fault in faults])
     exit_code = max((int(failure.exit_code) for failure in errors), default=0)
     if params["variables"] and not exit_code:
         check_unused_variables(dict(params["variables"]), used_variables)

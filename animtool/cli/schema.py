@@ -11,6 +11,7 @@ from animtool.cli.console import Console
 from animtool.cli.help import command
 from animtool.cli.options import common_options
 from animtool.core.plugins import load_object
+from animtool.documents.versions import FILE_MODELS
 
 if TYPE_CHECKING:
     from pydantic import BaseModel
@@ -34,19 +35,7 @@ def completion(console: Console, shell: str) -> None:
     console.document(completer.source())
 
 
-# Models by kind of file, or functions that return one.
-MODELS = {
-    "batch": "animtool.batch.schema:BatchModel",
-    "cameras": "animtool.capture.cameras.file:CamerasModel",
-    "clip": "animtool.clip.schema:ClipModel",
-    "landmarks": "animtool.capture.face.file:LandmarksModel",
-    "map": "animtool.retarget.file:MapModel",
-    "markers": "animtool.capture.templates.file:MarkersModel",
-    "remap": "animtool.rig.remap:RemapModel",
-    "rig": "animtool.rig.schema:RigModel",
-    "scene": "animtool.scene.file.schema:full_model",
-    "targets": "animtool.ik.schema:TargetsModel",
-}
+MODELS = FILE_MODELS
 # Models of JSON reports, or functions that return one.
 REPORT_MODELS = {"report": "animtool.report.tradeoffs_schema:TradeoffsModel"}
 

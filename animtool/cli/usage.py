@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import shlex
 from collections.abc import Iterator
 from dataclasses import replace
 from difflib import get_close_matches
@@ -128,6 +129,9 @@ def _missing_text(error: click.MissingParameter, context: click.Context) -> str:
         text += f": {re.split('[.;(] | [(]', param.help)[0].rstrip('.')}"
     lines = (context.command.epilog or "").splitlines()
     example = next((line.strip() for line in lines if "animtool " in line), None)
+    if isinstance(param, click.Argument) and (exchanged := _option_with_file(context)):
+        flag, file = exchanged
+        return f"{text}; {flag} has the file {file}: give {flag} its own value"
     return f"{text}; for example {example}" if example else text
 
 
@@ -158,12 +162,42 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
         return fault
     if _NUMBER.fullmatch(fault.path):
         return replace(fault, hint=_number_hint(context) or fault.hint)
+    exchanged_option = _option_with_file(context)
+    if exchanged_option is not None and not Path(fault.path).exists():
+        flag, file = exchanged_option
+        message = f"{fault.message}, and {flag} is the file {file}"
+        command = _exchanged_command(context, fault.path, file)
+        return replace(fault, message=message, hint=f"write {command}")
     for option in _command_options(context.command):
         value = context.params.get(str(option.name))
         if isinstance(value, Path) and str(value) == fault.path:
             hint = fault.hint or (None if value.suffix else "it takes a file")
             return replace(fault, where=option.opts[0], hint=hint)
     return fault
+
+
+def _option_with_file(context: click.Context) -> tuple[str, str] | None:
+    """Return the flag and value of a text option that has the path of a file."""
+    for option in _command_options(context.command):
+        value = context.params.get(str(option.name))
+        is_text = option.type is click.STRING and isinstance(value, str)
+        source = context.get_parameter_source(str(option.name))
+        if is_text and source in _EXPLICIT_SOURCES and Path(str(value)).is_file():
+            return option.opts[0], str(value)
+    return None
+
+
+def _exchanged_command(context: click.Context, first: str, second: str) -> str:
+    """Return the command line with two of its words exchanged."""
+    other = {first: second, second: first}
+    words = []
+    for word in context.meta.get(ARGUMENTS_KEY, ()):
+        flag, sign, value = word.partition("=")
+        is_flag = word.startswith("-") and sign
+        words.append(
+            f"{flag}={other.get(value, value)}" if is_flag else other.get(word, word)
+        )
+    return f"{context.command_path} {shlex.join(words)}"
 
 
 def _number_hint(context: click.Context) -> str | None:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, counted
+from animtool.core.errors import AnimtoolError, Fault, OptionError, counted, listed
 from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, unit_name
@@ -131,12 +132,65 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
     return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
 
 
-def check_targets(targets: Iterable[str], rig: Rig) -> None:
-    """Raise a fault for each target that the rig lacks."""
+# Number and fraction of unknown targets from which a clip is for another rig, unless
+# this fraction of them has names similar to those of the rig: typing errors.
+MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION, MAX_GUESSED_FRACTION = 3, 0.6, 0.5
+
+
+def lacks_most_targets(unknown_targets: Sequence[Fault], target_count: int) -> bool:
+    """Return whether so many targets are unknown that they are another rig's."""
+    guess_count = sum("did you mean" in (fault.hint or "") for fault in unknown_targets)
+    min_count = max(MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION * target_count)
+    return len(
+        unknown_targets
+    ) >= min_count and guess_count < MAX_GUESSED_FRACTION * len(unknown_targets)
+
+
+def missing_targets_text(
+    unknown_targets: Sequence[Fault], target_count: int, rig: Rig
+) -> str:
+    """Return how many targets a rig lacks, and the first of them."""
+    text = f"has none of the {target_count} targets"
+    if len(unknown_targets) < target_count:
+        text = f"lacks {len(unknown_targets)} of the {target_count} targets"
+    subjects = (fault.message.removeprefix("unknown ") for fault in unknown_targets)
+    return f"rig {rig.name!r} {text}: {listed(list(dict.fromkeys(subjects)), 4)}"
+
+
+def rig_file_has_all(path: Path | None, targets: Iterable[str]) -> bool:
+    """Return whether a rig file can be read and has all targets."""
+    if path is None:
+        return False
+    try:
+        rig = Rig.load(path)
+    except AnimtoolError:
+        return False
+    return all(isinstance(target_kind(target, rig), str) for target in targets)
+
+
+def check_targets(
+    targets: Sequence[str], rig: Rig, clip_rig_path: Path | None = None
+) -> None:
+    """Raise the faults of all targets that the rig lacks.
+
+    If they are those of another rig, the error names ``clip_rig_path``, the rig file
+    that the clip names.
+    """
     kinds_or_faults = [target_kind(target, rig) for target in targets]
     faults = [result for result in kinds_or_faults if isinstance(result, Fault)]
+    unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
+    if lacks_most_targets(unknown_targets, len(targets)):
+        message = missing_targets_text(unknown_targets, len(targets), rig)
+        hint = "is it the right rig?"
+        if clip_rig_path is not None:
+            hint = f"the clip names {clip_rig_path}; {hint}"
+        if rig_file_has_all(clip_rig_path, targets):
+            hint = f"the clip is for {clip_rig_path}, which has them; sample it on "
+            hint += "that rig, and move the take with animtool.retarget.retarget_take"
+        other_faults = [fault for fault in faults if fault not in unknown_targets]
+        faults = [Fault("CLIP002", message, hint=hint), *other_faults]
     if faults:
-        raise OptionError(faults)
+        raise OptionError(list(dict.fromkeys(faults)))
 
 
 LENGTH_PARTS = frozenset({"translation", "local_translation", "slide"})

@@ -42,6 +42,7 @@ class Clip:
         last: Last frame of the range, not before the first.
         channels: Channels, one per target.
         notices: Warnings about the file that it was read from; not compared.
+        rig_path: The rig file that its file names; not compared.
     """
 
     name: str
@@ -50,6 +51,7 @@ class Clip:
     last: Fraction
     channels: tuple[ClipChannel, ...]
     notices: tuple[Fault, ...] = field(default=(), repr=False, compare=False)
+    rig_path: Path | None = field(default=None, repr=False, compare=False)
 
     @classmethod
     def load(cls, path: Path | str, rig: Rig | Path | str | None = None) -> Clip:
@@ -128,7 +130,8 @@ class Clip:
 
         check_loaded(rig, Rig, "rig")
         rate, codes_per_frame = _rate_or_default(fps, self.fps), _exact_step(step)
-        check_targets((channel.target for channel in self.channels), rig)
+        targets = [channel.target for channel in self.channels]
+        check_targets(targets, rig, self.rig_path)
         frame_count = self.frame_count(rate, codes_per_frame)
         times = time_codes(self.first, codes_per_frame * self.fps / rate, frame_count)
         sampled_motion = sample_channels(self.channels, rig, times, clamp=clamp)

@@ -11,7 +11,14 @@ from typing import NoReturn
 import numpy as np
 
 from animtool.clip.channel_entries import CurveReader
-from animtool.clip.channels import ClipChannel, ClipUnits, target_kind
+from animtool.clip.channels import (
+    ClipChannel,
+    ClipUnits,
+    lacks_most_targets,
+    missing_targets_text,
+    rig_file_has_all,
+    target_kind,
+)
 from animtool.clip.clip import Clip
 from animtool.clip.plain_keys import PlainKeys
 from animtool.clip.schema import ChannelModel, ClipModel
@@ -19,7 +26,7 @@ from animtool.clip.suspicions import warn_of_numbers
 from animtool.clip.suspicious_times import warn_of_times
 from animtool.core.arguments import argument, clause
 from animtool.core.config import project_roots
-from animtool.core.errors import AnimtoolError, Fault, FormatError, OptionError, listed
+from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.core.files.reading import exists, not_a_file_reason
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.record import dataclass
@@ -69,7 +76,7 @@ class ClipFile:
 
 def open_clip(path: Path | str) -> ClipFile:
     """Read a clip file; `load_clip` checks it against its rig."""
-    return clip_of_document(read_document(Path(path)))
+    return clip_of_document(read_document(Path(path), "clip"))
 
 
 def clip_of_document(document: Document) -> ClipFile:
@@ -192,11 +199,6 @@ def file_units(model: ClipModel, rig: Rig | None) -> ClipUnits:
     return units
 
 
-# Number and fraction of unknown targets from which the clip is for another rig, unless
-# this fraction of them has names similar to those of the rig: typing errors.
-MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION, MAX_GUESSED_FRACTION = 3, 0.6, 0.5
-
-
 class _ClipReader:
     """Reads the channels of a validated clip document."""
 
@@ -236,7 +238,8 @@ class _ClipReader:
         )
         name = self.model.name or self.document.path.name.partition(".")[0]
         notices = tuple(self.document.notices)
-        return Clip(name, fps, first, last, tuple(channels), notices)
+        path = self.named_rig_path
+        return Clip(name, fps, first, last, tuple(channels), notices, path)
 
     def _add_rig_fault(self) -> None:
         """Replace faults of channels by a single one if the clip is for another rig."""
@@ -244,22 +247,11 @@ class _ClipReader:
         unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
         if self.rig is None or not unknown_targets:
             return
-        guess_count = sum(
-            "did you mean" in (fault.hint or "") for fault in unknown_targets
-        )
-        is_for_other_rig = len(unknown_targets) >= max(
-            MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION * channel_count
-        )
-        is_for_other_rig &= guess_count < MAX_GUESSED_FRACTION * len(unknown_targets)
+        is_for_other_rig = lacks_most_targets(unknown_targets, channel_count)
         is_for_named_rig = self._named_rig_has_all()
         if not is_for_other_rig and not is_for_named_rig:
             return
-        lacks_text = f"has none of the {channel_count} targets"
-        if len(unknown_targets) < channel_count:
-            lacks_text = f"lacks {len(unknown_targets)} of the {channel_count} targets"
-        subjects = (fault.message.removeprefix("unknown ") for fault in unknown_targets)
-        names = listed(list(dict.fromkeys(subjects)), 4)
-        message = f"rig {self.rig.name!r} {lacks_text}: {names}"
+        message = missing_targets_text(unknown_targets, channel_count, self.rig)
         hint = "is it the right rig?"
         rig_fault = replace(unknown_targets[0], message=message, hint=hint)
         if is_for_named_rig:
@@ -276,16 +268,8 @@ class _ClipReader:
 
     def _named_rig_has_all(self) -> bool:
         """Return whether the rig that the clip names has all of its targets."""
-        if self.named_rig_path is None:
-            return False
-        try:
-            rig = Rig.load(self.named_rig_path)
-        except AnimtoolError:
-            return False
-        return all(
-            isinstance(target_kind(channel.target, rig), str)
-            for channel in self.model.channels
-        )
+        targets = [channel.target for channel in self.model.channels]
+        return rig_file_has_all(self.named_rig_path, targets)
 
     def _read_rate(self) -> Fraction:
         """Return the frame rate; record an invalid one."""

@@ -10,7 +10,7 @@ from typing import Any
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, first_faults
-from animtool.core.files.reading import MAX_TEXT_BYTES, open_input
+from animtool.core.files.reading import MAX_TEXT_BYTES, open_input, require_file
 from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, expects_format
 from animtool.core.names import FILE_KINDS
 from animtool.core.record import dataclass
@@ -307,8 +307,13 @@ def with_position(fault: Fault) -> Fault:
     "a file that ends in .yaml or .json is needed; animtool bake and "
     "animtool.open_source read takes of other formats",
 )
-def read_document(path: Path) -> Document:
-    """Read a YAML or JSON file without checking its keys."""
+def read_document(path: Path, kind: str | None = None) -> Document:
+    """Read a YAML or JSON file without checking its keys.
+
+    ``kind`` is the kind of file that is needed; errors about a folder name one.
+    """
+    if kind is not None:
+        require_file(path, kind)
     return parse_document(read_text(path), path)
 
 

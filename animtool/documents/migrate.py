@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import difflib
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, cast
 
 from animtool.core.arguments import argument
 from animtool.core.errors import (
@@ -20,7 +22,9 @@ from animtool.core.errors import (
     refuse_warnings,
 )
 from animtool.core.files.output import atomic_outputs, check_outputs, write_parts
+from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
+from animtool.documents.check import validate_document
 from animtool.documents.document import (
     Document,
     location_text,
@@ -30,6 +34,7 @@ from animtool.documents.document import (
 )
 from animtool.documents.edit import EditError, Rename, apply_edits
 from animtool.documents.versions import (
+    FILE_MODELS,
     MIGRATION_STEPS,
     MigrationSteps,
     kind_and_version,
@@ -37,6 +42,13 @@ from animtool.documents.versions import (
     renamed_keys,
 )
 from animtool.documents.yaml_text import comments_in, json_text, yaml_text
+
+if TYPE_CHECKING:
+    from pydantic import BaseModel
+
+_SCENE_CHECK = "animtool.scene.file.read:check_scene_values"
+# Codes of unknown keys, missing keys and invalid values.
+_VALUE_CODES = {"DOC020", "DOC021", "DOC022"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +61,8 @@ class Migration:
     newest: int  # version after the migration
     old_text: str  # current text
     new_text: str  # text in the newest version
-    notices: tuple[Fault, ...] = ()  # comments that the migration removes
+    # Comments that the migration removes, and faults that it leaves.
+    notices: tuple[Fault, ...] = ()
     written: bool = False  # whether the file was replaced
     json_keys: ClassVar[str] = (
         "path kind from=version to=newest needed written difference notices"
@@ -164,6 +177,8 @@ def migrate(
         table: Migration steps between versions, by kind.
     """
     plans = _plan_migrations(paths, table)
+    if table is MIGRATION_STEPS:
+        plans = [_with_value_faults(plan) for plan in plans]
     refuse_warnings([note for plan_ in plans for note in plan_.notices], strict=strict)
     # A file and links to it are migrated once.
     plan_by_path = {p.path.resolve(): p for p in reversed(plans) if p.needed}
@@ -198,6 +213,28 @@ def _plan_migrations(
     if faults:
         raise FormatError(faults)
     return plans
+
+
+def _with_value_faults(plan: Migration) -> Migration:
+    """Return a migration with the faults of its new text as warnings.
+
+    They are those of keys and values, which a migration does not change.
+    """
+    document = parse_document(plan.new_text, plan.path)
+    if plan.kind == "scene":
+        check_values = cast("Callable[[Document], object]", load_object(_SCENE_CHECK))
+    else:
+        model = cast("type[BaseModel]", load_object(FILE_MODELS[plan.kind]))
+        check_values = partial(validate_document, model=model)
+    # Too many faults are raised at once.
+    with contextlib.suppress(FormatError):
+        check_values(document)
+    faults = [
+        replace(fault, severity=Severity.WARNING)
+        for fault in document.faults
+        if fault.code in _VALUE_CODES
+    ]
+    return replace(plan, notices=(*plan.notices, *faults))
 
 
 def _replace_version(document: Document, text: str, kind: str, version: str) -> str:

@@ -56,8 +56,23 @@ TIMED_ROWS = {
 MAX_REPLACED_VALUES = 200
 # Number of unknown keys from which an entry gets a single fault.
 MIN_UNKNOWN_KEYS = 2
+# Maximum number of mappings that a hint names as owners of an unknown key.
+MAX_KEY_OWNERS = 2
+# Maximum number of required keys that an example shows beside that key.
+MAX_EXAMPLE_KEYS = 3
 
 LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a value
+
+
+def _entry_example(models: list[type[BaseModel]], key: str, value: Any) -> str | None:
+    """Return an entry with a key and the required ones; None if it has no one form."""
+    if len(models) > 1 or isinstance(value, dict | list):
+        return None
+    fields = fields_of(models[0])
+    required = [n for n, info in fields.items() if info.is_required() and n != key]
+    if not 0 < len(required) <= MAX_EXAMPLE_KEYS:
+        return None
+    return flow_value({**dict.fromkeys(required, "…"), key: value})
 
 
 def faults_of_value(value: Any, error: ValidationError) -> LocatedFaults:
@@ -181,7 +196,11 @@ class ModelFaults:
             meant_key, value = owning_key, {key: value}
             hint = f"write {flow_text(owning_key, value)}"
         if hint.startswith("allowed"):
-            hint = self._key_elsewhere(parent, mapping, str(key)) or hint
+            hint = (
+                self._key_elsewhere(parent, mapping, str(key))
+                or self._key_of_another_branch(parent, str(key), value)
+                or hint
+            )
         self.document.add("DOC020", location, message, hint, is_at_key=True)
         if meant_key and meant_key not in mapping:
             # Its names may be referenced, but whether it was meant is unknown.
@@ -220,6 +239,38 @@ class ModelFaults:
                 label = location_text(parent[:depth])
                 owner_text = f"of {label}" if label else "at the top level of the file"
                 return f"it is a key {owner_text}: write it there"
+        return None
+
+    def _key_of_another_branch(
+        self, parent: Location, key: str, value: Any
+    ) -> str | None:
+        """Return a hint if one or two mappings near an ancestor accept an unknown key.
+
+        With the key ``share`` in a joint of a map file, it is the list ``twists``.
+        Every list may have names.
+        """
+        if key == "name":
+            return None
+        for depth in reversed(range(len(parent))):
+            ancestor = parent[:depth]
+            owners: dict[str, list[type[BaseModel]]] = {}
+            for name in fields_at(self.model, self.value, ancestor):
+                if name == parent[depth]:
+                    continue
+                for steps in ((name,), (name, 0)):
+                    path = (*ancestor, *steps)
+                    models = models_of(annotation_at(self.model, self.value, path))
+                    matches = [model for model in models if key in fields_of(model)]
+                    if matches:
+                        owners.setdefault(location_text((*ancestor, name)), matches)
+            if not owners:
+                continue
+            if len(owners) > MAX_KEY_OWNERS:
+                return None
+            hint = f"it is a key of {' and of '.join(map(repr, owners))}"
+            (models, *others) = owners.values()
+            example = "" if others else _entry_example(models, key, value)
+            return f"{hint}: write {example or 'it'} there"
         return None
 
     def _limit_hint(self, location: Location, faults: list[Any]) -> str | None:

@@ -20,6 +20,19 @@ MigrationSteps = Mapping[int, MigrationStep]
 
 # Migration steps by kind and source version.
 MIGRATION_STEPS: dict[str, dict[int, MigrationStep]] = {kind: {} for kind in FILE_KINDS}
+# Models by kind of file, or functions that return one.
+FILE_MODELS = {
+    "batch": "animtool.batch.schema:BatchModel",
+    "cameras": "animtool.capture.cameras.file:CamerasModel",
+    "clip": "animtool.clip.schema:ClipModel",
+    "landmarks": "animtool.capture.face.file:LandmarksModel",
+    "map": "animtool.retarget.file:MapModel",
+    "markers": "animtool.capture.templates.file:MarkersModel",
+    "remap": "animtool.rig.remap:RemapModel",
+    "rig": "animtool.rig.schema:RigModel",
+    "scene": "animtool.scene.file.schema:full_model",
+    "targets": "animtool.ik.schema:TargetsModel",
+}
 # Keys renamed within a version, by kind and location; None is any entry of a list. The
 # old name is still read.
 RENAMED_KEYS: dict[str, dict[tuple[str | None, ...], str]] = {

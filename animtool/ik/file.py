@@ -55,7 +55,7 @@ def load_targets(path: Path | str, rig: Rig | None = None) -> TargetTracks:
         FormatError: The file is faulty; lists every fault with line and column.
         OptionError: The project's settings are malformed.
     """
-    return targets_of_document(read_document(Path(path)), rig)
+    return targets_of_document(read_document(Path(path), "targets"), rig)
 
 
 def targets_of_document(document: Document, rig: Rig | None) -> TargetTracks:

@@ -130,7 +130,7 @@ def write_page(
     if options is not None and isinstance(options.frame_range, FrameList):
         message = "a page plays a range of frames"
         hint = "1-240x2 plays every second frame; .png and .webp show listed ones"
-        raise OptionError(Fault("PRV006", message, hint=hint, where="frames"))
+        raise OptionError(Fault("PRV006", message, hint=hint, where="frame_range"))
     with protect_inputs([output]):
         page = make_page(paths, options)
     write_parts(output, page.chunks())
@@ -213,7 +213,7 @@ def _collect_contents(
         for take in file.takes
     ]
     notices += align_takes(timeline_takes)
-    timeline = timeline_of(files, timeline_takes, fps, options)
+    timeline = timeline_of(files, timeline_takes, fps, options, notices)
     draft = PageDraft(timeline)
     page_takes = [
         (timeline_take, _add_timeline_take(draft, timeline_take))

@@ -8,11 +8,11 @@ from fractions import Fraction
 
 from animtool.core.arguments import argument
 from animtool.core.clock import frame_label
-from animtool.core.errors import Fault, OptionError, Severity
+from animtool.core.errors import Fault, OptionError, Severity, listed, warning
 from animtool.core.names import has_kind_suffix
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.core.shot import FrameRange
+from animtool.core.shot import FrameList, FrameRange
 from animtool.edit.resample import missing_frames_fault
 from animtool.motion.take import TakeStream
 from animtool.preview.draft import Timeline
@@ -25,6 +25,8 @@ from animtool.scene.bake.options import BakeOptions
 
 # Frames of a page.
 MAX_FRAMES = 1_000_000
+# Maximum distance of a listed frame from the sample that shows it [frame].
+MAX_FRAME_DISTANCE = 0.5
 FEWER_FRAMES_HINT = (
     f"{argument('frame_range', '1-240x2')} shows fewer frames, "
     f"{argument('prim_path')} a part of a stage"
@@ -134,8 +136,9 @@ def timeline_of(
     timeline_takes: Sequence[TimelineTake],
     fps: Fraction,
     options: PreviewOptions,
+    notices: list[Fault],
 ) -> Timeline:
-    """Return the timeline that covers all files."""
+    """Return the timeline that covers all files; add a warning to the notices."""
     spans = [
         _range_in_stage(
             timeline_take, _authored_range(files[timeline_take.file_index], fps)
@@ -168,6 +171,9 @@ def timeline_of(
     )
     last = max((span_end for _, span_end in spans), default=first)
     frame_range = options.frame_range
+    if isinstance(frame_range, FrameList):
+        start = min([first, *(take.clip_origin for take in timeline_takes)])
+        _check_listed_frames(frame_range, start, last, files)
     if frame_range is not None:
         start, end = first, last
         last = min(last, Fraction(frame_range.last))
@@ -178,10 +184,52 @@ def timeline_of(
                 missing_frames_fault(frame_range, start, end, noun="file")
             )
     count = int((last - first) / step) + 1
+    if frame_range is not None and spans:
+        notices += _range_notice(frame_range, first, first + (count - 1) * step)
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"
         raise OptionError(Fault("PRV003", message, hint=FEWER_FRAMES_HINT))
     return Timeline(fps, first, step, count)
+
+
+def _check_listed_frames(
+    frame_list: FrameList, first: Fraction, last: Fraction, files: Sequence[OpenFile]
+) -> None:
+    """Raise an error if listed frames are before the first or after the last frame."""
+    missing_frames = [
+        frame
+        for frame in frame_list.frames
+        if not -MAX_FRAME_DISTANCE <= frame - first <= last - first + MAX_FRAME_DISTANCE
+    ]
+    if not missing_frames:
+        return
+    is_one = len(missing_frames) == 1
+    frames = f"frame{'' if is_one else 's'} {listed(missing_frames)}"
+    message = f"{argument('frame_range')}: {frames} {'is' if is_one else 'are'} not in "
+    message += "the file" if len(files) == 1 else "the files"
+    verb = "has" if len(files) == 1 else "have"
+    # A take is read up to the last listed frame.
+    if max(missing_frames) > last:
+        message += f", which {verb} frames {frame_label(first)}-{frame_label(last)}"
+    else:
+        message += f", whose first frame is {frame_label(first)}"
+    path = str(files[0].path) if len(files) == 1 else None
+    raise OptionError(Fault("CLI005", message, path))
+
+
+def _range_notice(
+    frame_range: FrameRange, first: Fraction, last: Fraction
+) -> list[Fault]:
+    """Return a warning if a range extends beyond the frames that are shown."""
+    is_longer = frame_range.last - last >= frame_range.step
+    if isinstance(frame_range, FrameList) or (
+        first - frame_range.first < 1 and not is_longer
+    ):
+        return []
+    range_text = f"{frame_range.first}-{frame_range.last}"
+    message = f"{argument('frame_range', range_text)} extends beyond the files; "
+    message += f"{frame_label(first)} to {frame_label(last)} are shown"
+    return [warning("SCN202", message)]
 
 
 def _range_in_stage(

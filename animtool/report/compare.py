@@ -10,7 +10,9 @@ from typing import TypeAlias
 
 import numpy as np
 
+from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
+from animtool.core.clock import Clock, frame_label, span_label
 from animtool.core.errors import Fault, counted, listed
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, unit_name
@@ -122,6 +124,11 @@ def _shape_pairs(first: Sequence[str], second: Sequence[str]) -> list[tuple[int,
 
 # USD stores scales as 16-bit floats, whose spacing near 1 is 5e-4.
 SCALE_TOLERANCE = 1e-3
+# A take is part of a longer one if its joints are within this fraction of its size, and
+# of the difference of the first frames [1].
+FIT_FRACTION = 0.01
+# Fewer frames may fit by chance; of the longer take, as many frames are tried.
+MIN_FITTED_FRAMES, MAX_TRIED_OFFSETS = 3, 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -350,6 +357,9 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
         len(pairs),
         shape_count,
         mismatches + missing_shapes,
+        notes=[]
+        if first.clock.count == second.clock.count
+        else _fit_note(first, second, pairs),
         size=max(_largest_extent(first_world), _largest_extent(second_world)),
     )
 
@@ -399,9 +409,63 @@ def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list
     ]
     mismatches = unmatched_texts("joint", *unmatched_names)
     if first.clock.count != second.clock.count:
-        frames_text = counted(first.clock.count, "frame")
-        mismatches.append(f"{frames_text} instead of {second.clock.count}")
+        frames = counted(first.clock.count, "frame")
+        text = f"the first has {frames} ({_range_text(first.clock)}), the second "
+        text += f"{second.clock.count} ({_range_text(second.clock)})"
+        if first.clock.start != second.clock.start:
+            text += "; compared from the first frame of each"
+        mismatches.append(text)
     if first.clock.rate != second.clock.rate:
         rates_text = f"{first.clock.rate} fps instead of {second.clock.rate}"
         mismatches.append(f"{rates_text}; frames are compared by time from the first")
     return mismatches
+
+
+def _range_text(clock: Clock) -> str:
+    """Return the first and last time code of a take as text."""
+    return span_label(*(clock.times[i] for i in (0, -1)))
+
+
+def _fit_note(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
+    """Return a note if the shorter take has the motion of later frames of the longer.
+
+    Of the frames of the longer take, those nearest to the first frame of the shorter
+    are tried.
+    """
+    if first.clock.rate != second.clock.rate or not pairs:
+        return []
+    is_first_longer = first.clock.count > second.clock.count
+    longer, shorter = (first, second) if is_first_longer else (second, first)
+    joints = [[pair[side] for pair in pairs] for side in (0, 1)]
+    longer_joints, shorter_joints = joints if is_first_longer else joints[::-1]
+    long_positions = _world_positions(longer)[:, longer_joints]
+    short_positions = _world_positions(shorter)[:, shorter_joints]
+    count = len(short_positions)
+    offset_count = len(long_positions) - count + 1
+    if count < MIN_FITTED_FRAMES or offset_count < 2:
+        return []
+
+    def largest_distance(offset: int) -> float:
+        offsets = long_positions[offset : offset + count] - short_positions
+        return float(np.linalg.norm(offsets, axis=-1).max())
+
+    starts = long_positions[:offset_count] - short_positions[0]
+    start_distances = np.linalg.norm(starts, axis=-1).max(axis=1)
+    nearest_offsets = np.argsort(start_distances, kind="stable")[:MAX_TRIED_OFFSETS]
+    distances = {int(i): largest_distance(int(i)) for i in nearest_offsets}
+    best_offset = min(distances, key=lambda offset: distances[offset])
+    size = _largest_extent(short_positions)
+    limit = min(FIT_FRACTION * size, FIT_FRACTION * largest_distance(0))
+    if best_offset == 0 or distances[best_offset] > limit:
+        return []
+    codes = longer.clock.times
+    first_code, last_code = codes[best_offset], codes[best_offset + count - 1]
+    names = ("second", "first") if is_first_longer else ("first", "second")
+    frames = f"{frame_label(first_code)}-{frame_label(last_code)}"
+    note = f"the {names[0]} fits frames {frames} of the {names[1]}; to compare these, "
+    return [f"{note}use {argument('frame_range', frames)} on the {names[1]}"]
+
+
+def _world_positions(take: Take) -> FloatArray:
+    """Return the joint positions of all frames ``(F, J, 3)`` [m]."""
+    return forward_kinematics(take.rig, *take.motion.dense()).positions

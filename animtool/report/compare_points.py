@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.clock import span_label
 from animtool.core.errors import Fault, counted
 from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
@@ -96,8 +97,10 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         if prim_types[0] != prim_types[1]:
             mismatches.append(f"{name}: {prim_types[0]} instead of {prim_types[1]}")
         if len(time_codes[0]) != len(time_codes[1]):
-            count_text = counted(len(time_codes[0]), "sample")
-            mismatches.append(f"{name}: {count_text} instead of {len(time_codes[1])}")
+            counts = [counted(len(codes), "sample") for codes in time_codes]
+            ranges = [f" ({span_label(c[0], c[-1])})" if c else "" for c in time_codes]
+            message = f"{name}: the first has {counts[0]}{ranges[0]}, the second "
+            mismatches.append(message + f"{len(time_codes[1])}{ranges[1]}")
         for code, *samples in _sample_pairs(source_a, source_b, name, time_codes):
             sample_count += 1
             size = max(size, *map(_bounds_diagonal, samples))

@@ -126,7 +126,7 @@ def load_map(path: Path | str) -> MapFile:
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
     """
-    return parse_map_document(read_document(Path(path)))
+    return parse_map_document(read_document(Path(path), "map"))
 
 
 def parse_map_document(document: Document) -> MapFile:

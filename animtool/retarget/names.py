@@ -13,8 +13,8 @@ from typing import Any
 import yaml
 
 from animtool.core.array_types import IntArray
-from animtool.core.errors import Fault, OptionError, excerpt
-from animtool.core.names import name_hint
+from animtool.core.errors import Fault, OptionError, RefusalCollector, excerpt
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
 from animtool.retarget.roles import (
     ARM_ROLES,
@@ -53,6 +53,8 @@ _CONTROL_WORDS = {
 _MIN_PREFIX_FRACTION = 0.6
 # Number of names of a convention that a skeleton needs to match it.
 _MIN_MATCHED_NAMES = 6
+# Maximum number of presets that a hint suggests, such as those of one program.
+MAX_SUGGESTED_PRESETS = 3
 # Entry of the presets with words that many conventions use.
 COMMON_WORDS = "words"
 # Votes of a word that many conventions use, and of a word of another convention.
@@ -227,13 +229,46 @@ def _templates(joints: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
                 yield (f"{role}_{i + 1}" if role in DIGITS else role), template
 
 
-def find_preset(name: str) -> Preset:
-    """Return a shipped naming convention; raise if its name is unknown (MAP003)."""
+def find_preset(name: str, where: str | None = None) -> Preset:
+    """Return a shipped naming convention; raise if its name is unknown (MAP003).
+
+    ``where`` is the option that names it, for the error.
+    """
     table = presets()
     if name not in table:
-        hint = name_hint(name, sorted(table))
-        raise OptionError(Fault("MAP003", f"unknown preset {excerpt(name)}", hint=hint))
+        message, hint = f"unknown preset {excerpt(name)}", _preset_hint(name)
+        raise OptionError(Fault("MAP003", message, hint=hint, where=where))
     return table[name]
+
+
+def check_presets(
+    *, preset: str | None = None, target_preset: str | None = None
+) -> None:
+    """Raise if options of these names have unknown presets (MAP003)."""
+    refusals = RefusalCollector()
+    for option, name in (("preset", preset), ("target_preset", target_preset)):
+        with refusals.collect():
+            if name is not None:
+                find_preset(name, option)
+    refusals.check()
+
+
+def _preset_hint(name: str) -> str:
+    """Return a hint with the presets that could be meant, or where all are listed.
+
+    >>> _preset_hint("rigify"), _preset_hint("cmu")
+    ("did you mean 'rigify_metarig'?", "did you mean 'cmu_bvh' or 'cmu_daz_bvh'?")
+    """
+    names = sorted(presets())
+    word = name.casefold()
+    matches = [other for other in names if len(word) > 1 and word in other]
+    if len(matches) > MAX_SUGGESTED_PRESETS or not matches:
+        nearest = most_similar(name, names)
+        matches = [] if nearest is None else [nearest]
+    if matches:
+        *others, last = map(repr, matches)
+        return f"did you mean {', '.join(others)}{' or ' if others else ''}{last}?"
+    return f"animtool explain MAP003 lists all {len(names)}"
 
 
 def best_preset(

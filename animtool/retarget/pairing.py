@@ -16,6 +16,7 @@ from animtool.core.record import dataclass
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.file import MapFile, ResolvedMap, load_map, resolve_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
+from animtool.retarget.names import check_presets
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.roles import (
     CONTROL,
@@ -92,6 +93,7 @@ def map_joints(
     >>> [(pair.source, pair.target, pair.role) for pair in found.pairs]
     [(2, 0, 'hand_l')]
     """
+    check_presets(preset=preset, target_preset=target_preset)
     file_map: ResolvedMap | None = None
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)

@@ -345,6 +345,10 @@ def with_source_warnings(
     has_rate = reader is not None and "fps" in reader.options
     rate_warnings = rate_warning(rate, "source.fps" if has_rate else None)
 
+    located_warnings = [notice.in_file(path) for notice in rate_warnings]
+    if "TAKE009" in reported_codes:
+        stream.notices[:] = [n for n in stream.notices if n not in located_warnings]
+
     def add_notices(notices: Iterable[Fault]) -> None:
         stream.notices.extend(
             notice if namer is None else notice.with_argument_names(namer)
@@ -356,7 +360,7 @@ def with_source_warnings(
             notice.with_argument_names(namer) for notice in stream.notices
         ]
     if {*known_codes, *reported_codes}.isdisjoint({"BVH105", "TAKE009"}):
-        add_notices(replace(notice, path=str(path)) for notice in rate_warnings)
+        add_notices(located_warnings)
     file_format = stream.details.get("format")
     if unit is not None and "RIG217" not in known_codes and file_format != "markers":
         add_notices(_size_warning(path, stream.rig, unit))

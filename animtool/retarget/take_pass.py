@@ -40,6 +40,7 @@ from animtool.motion.take import TakeStream
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.map import JointMap
 from animtool.retarget.motion import Retargeting, build_transfer
+from animtool.retarget.names import check_presets
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.pairing import map_joints
 from animtool.retarget.props import PropTracks
@@ -425,6 +426,8 @@ def _option_checks(options: Any) -> OptionChecks:
     return {
         "rig": lambda: _rig_path(options),
         "warn_above": lambda: _check_warn_above(options),
+        "preset": lambda: check_presets(preset=options.preset),
+        "target_preset": lambda: check_presets(target_preset=options.target_preset),
     }
 
 

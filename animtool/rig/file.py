@@ -113,7 +113,7 @@ MAX_SIDECAR_DEPTH = 8
 
 def load_rig(path: Path | str, parents: tuple[Path, ...] = ()) -> Rig:
     """Load a rig file, and the file that its ``from`` names."""
-    return parse_rig(read_document(Path(path)), parents)
+    return parse_rig(read_document(Path(path), "rig"), parents)
 
 
 def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:

@@ -107,7 +107,7 @@ class ShapeLinks:
 
 def load_remap(path: Path | str) -> RemapFile:
     """Load a remap file; `link_shapes` checks its shape names."""
-    return parse_remap(read_document(Path(path)))
+    return parse_remap(read_document(Path(path), "remap"))
 
 
 def parse_remap(document: Document) -> RemapFile:

@@ -21,6 +21,7 @@ from animtool.core.errors import (
     excerpt,
     listed,
 )
+from animtool.core.files.reading import require_file
 from animtool.core.names import most_similar, name_hint
 from animtool.core.old_names import rename_attributes
 from animtool.core.plugins import load_object
@@ -232,6 +233,7 @@ class Rig:
             OptionError: Its suffix is not supported.
         """
         path = Path(path)
+        require_file(path, "rig")
         return cast(Rig, find_reader(path).rig_opener(path)(path))
 
     def __repr__(self) -> str:

@@ -620,3 +620,39 @@ def test_a_timeline_is_no_take_and_the_way_on_is_given(takes: Path) -> None:
     path = timeline(takes / "edit.otio", made)
     done = animtool("convert", path, "x.bvh", cwd=takes)
     assert (done.code, "animtool bake --shot NAME" in done.stderr) == (2, True)
+
+
+def test_options_that_contradict_each_other_are_named_once(
+    takes: Path, tmp_path: Path
+) -> None:
+    clips = [clip(name, "takes/take000.bvh", (10, 10)) for name in "ab"]
+    path = timeline(takes / "a.otio", *clips)
+    with pytest.raises(FormatError) as caught:
+        shots_of(path, start_frame=1001, cut_start=1009, handles=4)
+    (fault,) = caught.value.faults
+    assert fault.code == "BAT047"
+    arguments = [
+        "--handles",
+        "4",
+        "--cut-start",
+        "1009",
+        "--start",
+        "1001",
+        "--shot",
+        "a",
+        "-o",
+    ]
+    done = animtool("bake", path, *arguments, tmp_path / "a.usdc")
+    assert done.code != 0
+    for text in ("--start 1001", "--handles 4", "1005", "--cut-start is 1009"):
+        assert text in done.stderr
+
+
+def test_json_of_a_timeline_is_repaired_at_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.otio"
+    path.write_text('{"OTIO_SCHEMA": "Timeline.1",\n"name": "x",\n}')
+    with pytest.raises(FormatError) as caught:
+        read_cuts(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines, fault.column) == ("BAT041", (2,), 12)
+    assert fault.hint == "remove the comma"

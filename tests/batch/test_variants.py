@@ -346,3 +346,56 @@ def test_values_that_the_scene_refuses_are_located_in_the_batch(
     assert (fault.code, Path(str(fault.path)).name) == (code, "w.batch.yaml")
     assert (fault.lines, fault.column) == ((line,), column)
     assert hint is None or hint in str(fault.hint)
+
+
+@pytest.mark.parametrize(
+    ("text", "hint"),
+    [
+        ("4..1", "write 1..4, or 4..1/-1 to count down"),
+        ("4..1/2", "write 1..4/2, or 4..1/-2 to count down"),
+        ("1..4/-1", "write 1..4, or 4..1/-1 to count down"),
+        ("{start: 4, stop: 1}", "write step: -1, or exchange start and stop"),
+        ("{start: 1, stop: 4, step: -2}", "write step: 2, or exchange start and stop"),
+    ],
+)
+def test_a_range_that_counts_away_from_its_end(
+    tmp_path: Path, text: str, hint: str
+) -> None:
+    """Its name is known all the same: the output has no fault."""
+    path = written(
+        tmp_path,
+        "a.batch.yaml",
+        "batch: animtool/1\ninputs: [a.scene.yaml]\n"
+        f"variants: {{k: {text}}}\noutput: '{{stem}}_{{k}}.usdc'\n",
+    )
+    with pytest.raises(FormatError) as caught:
+        load_batch(path)
+    assert [(fault.code, fault.hint) for fault in caught.value.faults] == [
+        ("BAT064", hint)
+    ]
+    if ".." in text:
+        with pytest.raises(OptionError) as refused:
+            variants_of_texts([f"k={text}"])
+        assert refused.value.faults[0].hint == hint
+
+
+@pytest.mark.parametrize(
+    ("variants", "codes"),
+    [
+        ("none.csv", ["DOC015"]),
+        ("[{k: .nan}]", ["DOC022"]),
+        ("{j: 4..1}", ["BAT004", "BAT064"]),
+    ],
+)
+def test_names_of_faulty_variants_are_known(
+    tmp_path: Path, variants: str, codes: list[str]
+) -> None:
+    path = written(
+        tmp_path,
+        "a.batch.yaml",
+        "batch: animtool/1\ninputs: [a.scene.yaml]\n"
+        f"variants: {variants}\noutput: '{{stem}}_{{k}}.usdc'\n",
+    )
+    with pytest.raises(FormatError) as caught:
+        load_batch(path)
+    assert sorted(fault.code for fault in caught.value.faults) == codes

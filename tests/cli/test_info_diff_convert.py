@@ -72,7 +72,8 @@ def test_diff_names_what_one_has_not(takes: tuple[Path, Path], tmp_path: Path) -
     said = " ".join(found["mismatches"])
     assert not found["same"]
     assert "Spine" in said
-    assert "6 frames instead of 5" in said
+    assert "6 frames (1 to 6)" in said
+    assert "5 (1 to 5)" in said
 
 
 def test_bvh_to_usd_to_bvh_to_usd(takes: tuple[Path, Path], tmp_path: Path) -> None:
@@ -301,3 +302,34 @@ def test_physics_says_that_motion_is_left_out(walk: Path, tmp_path: Path) -> Non
     again = animtool("convert", tmp_path / "rig.usda", tmp_path / "b.usda", "--physics")
     assert again.code == 0
     assert "CLI104" not in again.stderr
+
+
+@pytest.mark.parametrize("command", ["info", "diff", "preview", "retarget", "loop"])
+def test_every_command_warns_of_a_rate_of_the_source(
+    root: Path, walk: Path, tmp_path: Path, command: str
+) -> None:
+    more = {
+        "diff": [walk],
+        "preview": ["-o", tmp_path / "a.html"],
+        "retarget": ["--to", root / "rigs/biped/biped.rig.yaml"],
+    }
+    arguments = [command, walk, *more.get(command, [])]
+    done = animtool(*arguments, "--source-fps", 2400)
+    assert "TAKE009 --source-fps 2400" in done.stderr
+    assert "TAKE009" not in animtool(*arguments, "--source-fps", 60).stderr
+
+
+def test_a_file_as_the_name_of_a_take_is_exchanged(tmp_path: Path) -> None:
+    (tmp_path / "fox.glb").touch()
+    for command, more in (("info", []), ("bake", ["-o", "a.usdc"])):
+        for words in (["--take", "fox.glb", "trot"], ["--take=fox.glb", "trot"]):
+            done = animtool(command, *words, *more, cwd=tmp_path)
+            assert "IO001" in done.stderr
+            right = " ".join([*words, *more]).replace("fox.glb", "?")
+            right = right.replace("trot", "fox.glb").replace("?", "trot")
+            assert f"animtool {command} {right}" in done.stderr
+    done = animtool("info", "--take", "fox.glb", cwd=tmp_path)
+    assert "--take has the file fox.glb" in done.stderr
+    done = animtool("info", "none.glb", "--take", "trot", cwd=tmp_path)
+    assert "IO001" in done.stderr
+    assert "--take" not in done.stderr

@@ -127,3 +127,13 @@ def test_landmarks_seen_in_a_mirror_are_named(tmp_path: Path, landmarks: Path) -
         done = animtool(*command, "-o", tmp_path / f"{name}.usdc")
         assert done.code == 0, done.stderr
         assert ("FAC112" in done.stderr) == (sign < 0), done.stderr
+
+
+def test_landmarks_without_positions_on_the_rig(root: Path, tmp_path: Path) -> None:
+    done = animtool(
+        *("mocap", "face", root / "samples/face/speech.npz"),
+        *("--rig", root / "rigs/head/head.rig.yaml", "-o", tmp_path / "a.usdc"),
+    )
+    assert done.code == 2
+    assert "FAC003" in done.stderr
+    assert "--landmarks FILE" in done.stderr

@@ -112,7 +112,8 @@ def test_a_map_that_was_written_gives_the_same_take(root: Path, tmp_path: Path) 
     ("arguments", "code", "text"),
     [
         (["--rest", "frame:65"], 2, "MAP006"),
-        (["--preset", "mixamoo"], 2, "MAP003"),
+        (["--preset", "mixamoo"], 2, "MAP003 --preset: "),
+        (["--target-preset", "mixamoo"], 2, "MAP003 --target-preset: "),
         (["--by", "looks"], 2, "auto"),
         (["--write-map", "out.yaml"], 2, "OUT004"),
         (["-o", "out.fbx"], 2, "OUT004"),

@@ -275,3 +275,22 @@ def test_a_stage_of_a_frame_a_second_is_said(workplace: Path) -> None:
     layer.write_text(text.replace("timeCodesPerSecond = 30", "timeCodesPerSecond = 1"))
     command = ("bake", layer, "-o", "b.usda")
     assert faults(workplace, *command, code=0) == [("TAKE009", 0)]
+
+
+def test_a_key_of_another_list_is_named(root: Path, tmp_path: Path) -> None:
+    """Of a map file: a joint has no share, an entry of twists has."""
+    path = tmp_path / "a.map.yaml"
+    path.write_text(
+        "map: animtool/1\njoints:\n"
+        "- {source: LeftArm, target: shoulder_l, share: 0.5}\n"
+    )
+    arguments = ["--to", root / BIPED, "--map", path, "-o", tmp_path / "a.usdc"]
+    done = animtool("retarget", root / WALK, *arguments)
+    assert "a.map.yaml:3:41: DOC020" in done.stderr
+    assert "'twists'" in done.stderr
+    assert "{joint: …, bone: …, share: 0.5}" in done.stderr
+    text = path.read_text()
+    path.write_text(text.replace("share: 0.5", "name: 0.5"))
+    done = animtool("retarget", root / WALK, *arguments)
+    assert "DOC020" in done.stderr
+    assert "write it there" not in done.stderr

@@ -130,3 +130,31 @@ def test_a_range_is_not_counted_at_a_rate_that_is_none(fps: Any) -> None:
     with pytest.raises(AnimtoolError) as caught:
         clip.frame_count(fps)
     assert caught.value.code == "SCN022"
+
+
+def test_a_clip_on_the_rig_of_another_is_one_fault(root: Path) -> None:
+    clip = Clip.load(root / "samples/stride/stride.clip.yaml")
+    arm = Rig.load(root / "rigs/arm/arm.rig.yaml")
+    biped = root / "rigs/biped/biped.rig.yaml"
+    assert clip.rig_path is not None
+    assert clip.rig_path.samefile(biped)
+    for path, said in ((clip.rig_path, "biped.rig.yaml"), (None, "right rig")):
+        with pytest.raises(AnimtoolError) as caught:
+            replace(clip, rig_path=path).sample(arm)
+        (fault,) = caught.value.faults
+        assert fault.code == "CLIP002"
+        assert f"'arm' has none of the {len(clip.channels)} targets" in fault.message
+        assert said in str(fault.hint)
+
+
+def test_a_target_that_two_channels_have_is_one_fault(root: Path) -> None:
+    clip = Clip.load(root / "samples/stride/stride.clip.yaml")
+    channels = [
+        replace(channel, target=channel.target.replace("hips", "hipz"))
+        for channel in clip.channels
+    ]
+    with pytest.raises(AnimtoolError) as caught:
+        replace(clip, channels=tuple(channels)).sample(Rig.load(clip.rig_path or ""))
+    assert [(f.code, f.hint) for f in caught.value.faults] == [
+        ("CLIP002", "did you mean 'hips'?")
+    ]

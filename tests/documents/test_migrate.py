@@ -266,3 +266,34 @@ output: {file: o.usdc}
     plan = plan_migration(written(tmp_path, text, "a.scene.yaml"))
     new = text.replace("damping: 2, shear: 3", "ratio: 2, diagonals: 3")
     assert plan.new_text == new.replace("colliders: false", "capsules: false")
+
+
+def test_faults_that_stay_are_warned_of(tmp_path: Path) -> None:
+    scene = written(
+        tmp_path,
+        "scene: animtool/1\nsource: {file: walk.bvh, up: +Y}\npasses:\n"
+        "- simulate: {what: [cape], damping: 2}\noutput: a.usdc\n",
+        "a.scene.yaml",
+    )
+    rig = written(tmp_path, "rig: animtool/1\nname: a\njoint: []\nup: Q\n")
+    plans = migrate([scene, rig], check=True)
+    assert [plan.needed for plan in plans] == [True, False]
+    found = [[(n.code, n.lines, str(n.severity)) for n in p.notices] for p in plans]
+    assert found == [
+        [("DOC022", (2,), "warning")],
+        [("DOC020", (3,), "warning"), ("DOC022", (4,), "warning")],
+    ]
+    with pytest.raises(StrictError):
+        migrate([scene], overwrite=True, strict=True)
+    assert "damping" in scene.read_text()
+
+
+def test_variables_without_values_are_no_fault(tmp_path: Path) -> None:
+    scene = written(
+        tmp_path,
+        'scene: animtool/1\nsource: {file: "${f}", up: "${u}", fps: "${r}"}\n'
+        "range: 1-24\noutput: a.usdc\n",
+        "a.scene.yaml",
+    )
+    (plan,) = migrate([scene], check=True)
+    assert not plan.notices

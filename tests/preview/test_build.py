@@ -12,7 +12,7 @@ from support.skinned_rig import write_pair
 
 from animtool import read_bvh
 from animtool.core.errors import AnimtoolError
-from animtool.core.shot import FrameRange
+from animtool.core.shot import FrameList, FrameRange
 from animtool.core.units import UpAxis
 from animtool.motion.reorient import reorient
 from animtool.preview.build import make_page, write_page
@@ -393,3 +393,46 @@ def test_channels_say_how_far_they_move(tmp_path: Path) -> None:
     assert moves["joint/root.translation.x"] == 0
     assert moves["joint/root.translation.y"] == pytest.approx(0.5, abs=1e-3)
     assert moves["joint/a.angle"] == pytest.approx(np.pi / 2, abs=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("frames", "missing", "said"),
+    [
+        ([1, 5, 400], "frame 400 is", "1-64"),
+        ([6, 7, 400, 500], "frames 400, 500 are", "1-64"),
+        ([0, 5], "frame 0 is", "first frame is 1"),
+    ],
+)
+def test_listed_frames_that_the_file_lacks(
+    walk: Path, frames: list[int], missing: str, said: str
+) -> None:
+    options = PreviewOptions(frame_range=FrameList.of_frames(frames), findings=False)
+    with pytest.raises(AnimtoolError) as caught:
+        make_page([walk], options)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.path) == ("CLI005", str(walk))
+    assert fault.message.startswith(f"frame_range: {missing} not in the file")
+    assert said in fault.message
+
+
+@pytest.mark.parametrize(
+    ("frame_range", "codes"),
+    [
+        (FrameRange(1, 64), []),
+        (FrameRange(2, 9), []),
+        (FrameRange(2, 65, 2), []),
+        (FrameRange(1, 65), ["SCN202"]),
+        (FrameRange(0, 9), ["SCN202"]),
+        (FrameList.of_frames([9, 2]), []),
+    ],
+)
+def test_a_range_beyond_all_files_is_warned_of(
+    walk: Path, frame_range: FrameRange, codes: list[str]
+) -> None:
+    page = make_page([walk], PreviewOptions(frame_range=frame_range, findings=False))
+    assert [n.code for n in page.notices if n.code == "SCN202"] == codes
+
+
+def test_a_page_refuses_a_list_by_its_option(walk: Path, tmp_path: Path) -> None:
+    done = animtool("preview", walk, "-o", tmp_path / "a.html", "--range", "1,2")
+    assert "PRV006 --range: " in done.stderr

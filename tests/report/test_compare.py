@@ -111,7 +111,9 @@ def test_other_rates_and_lengths_are_mismatches(take: Take) -> None:
         clock=replace(take.clock, count=7),
         motion=take.motion.select(slice(0, 7)),
     )
-    assert compare_takes(take, shorter).mismatches == ["8 frames instead of 7"]
+    (text,) = compare_takes(take, shorter).mismatches
+    assert "8 frames (1 to 8)" in text
+    assert "7 (1 to 7)" in text
 
 
 def test_time_codes_are_those_of_the_first(take: Take) -> None:
@@ -206,3 +208,25 @@ def test_every_skeleton_is_compared(tmp_path: Path) -> None:
     named = compare(one, two, SourceOptions(prim_path="/World/a"))
     assert (named.skeletons, named.world.value) == (1, 0.0)
     assert named.notices == []
+
+
+@pytest.mark.parametrize(("first_frame", "fits"), [(1, False), (9, True)])
+def test_a_part_of_a_longer_take_is_found(
+    walk: Path, first_frame: int, *, fits: bool
+) -> None:
+    take = read_bvh(walk).collect()
+    first = first_frame - 1
+    part = replace(
+        take,
+        clock=replace(take.clock, count=24, start=Fraction(1009)),
+        motion=take.motion.select(slice(first, first + 24)),
+    )
+    for pair in ((take, part), (part, take)):
+        found = compare_takes(*pair)
+        assert ["9-32" in note for note in found.notes] == [True] * fits
+        (mismatch,) = found.mismatches
+        assert "(1009 to 1032)" in mismatch
+    other = replace(part, motion=take.motion.select(slice(0, 24)))
+    values = other.motion.rotations.dense() * [1, 1, 1, -1]
+    other = moved(other, rotations=Channel.from_dense(values))
+    assert not compare_takes(take, other).notes

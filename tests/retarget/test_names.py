@@ -13,7 +13,13 @@ from support.people import named, person
 
 from animtool.core.errors import OptionError
 from animtool.retarget.anatomy import find_anatomy
-from animtool.retarget.names import best_preset, find_preset, parse_names, presets
+from animtool.retarget.names import (
+    best_preset,
+    check_presets,
+    find_preset,
+    parse_names,
+    presets,
+)
 from animtool.retarget.roles import ROLES, base_role
 
 PREFIXES = ["", "mixamorig1:", "mixamorig9:", "a:b:", "|root|x:", "Bip001 ", "hero_"]
@@ -116,6 +122,24 @@ def test_an_unknown_preset_is_refused_with_the_nearest() -> None:
         find_preset("miximo")
     assert caught.value.code == "MAP003"
     assert caught.value.faults[0].hint == "did you mean 'mixamo'?"
+
+
+@pytest.mark.parametrize(
+    ("name", "hint"),
+    [
+        ("rigify", "did you mean 'rigify_metarig'?"),
+        ("cmu", "did you mean 'cmu_bvh' or 'cmu_daz_bvh'?"),
+        ("foo", f"animtool explain MAP003 lists all {len(presets())}"),
+    ],
+)
+def test_an_unknown_preset_is_named_by_its_option(name: str, hint: str) -> None:
+    with pytest.raises(OptionError) as caught:
+        check_presets(preset="mixamo", target_preset=name)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.where, fault.hint) == ("MAP003", "target_preset", hint)
+    with pytest.raises(OptionError) as both:
+        check_presets(preset=name, target_preset=name)
+    assert [fault.where for fault in both.value.faults] == ["preset", "target_preset"]
 
 
 @pytest.mark.parametrize("thumbs", ["vrm0", "vrm1", "unity_humanoid", "godot_humanoid"])

@@ -22,6 +22,7 @@ from animtool.capture.cameras.camera import (
 from animtool.capture.cameras.plausible import warn_of_focal_lengths, warn_of_spread
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError
+from animtool.core.files.reading import require_file
 from animtool.core.names import FILE_KINDS
 from animtool.core.options import key
 from animtool.core.units import LengthUnit, UpAxis
@@ -183,6 +184,7 @@ def load_cameras(
         read_camera_document,
     )
 
+    require_file(Path(path), "cameras")
     document = read_camera_document(Path(path))
     versions = [document.value.get(kind) for kind in FILE_KINDS]
     is_animtool_file = any(str(text).startswith("animtool/") for text in versions)

@@ -37,6 +37,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
+from animtool.core.json_problems import json_problem
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
 
@@ -423,4 +424,7 @@ def _error_reason(error: Exception) -> str:
         return f"it has no {error.args[0]!r}"
     if isinstance(error, RecursionError):
         return "it is nested too deeply"
-    return str(error).split(" (char")[0]
+    if isinstance(error, json.JSONDecodeError):
+        problem = json_problem(error)
+        return f"line {problem.line}, column {problem.column}: {problem.message}"
+    return str(error)

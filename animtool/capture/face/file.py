@@ -97,7 +97,7 @@ def load_landmarks(path: Path | str) -> LandmarksFile:
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
     """
-    return parse_landmarks(read_document(Path(path)))
+    return parse_landmarks(read_document(Path(path), "landmarks"))
 
 
 def parse_landmarks(document: Document) -> LandmarksFile:

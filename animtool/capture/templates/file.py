@@ -85,7 +85,7 @@ def load_template(path: Path | str) -> MarkerTemplate:
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
     """
-    return parse_template(read_document(Path(path)))
+    return parse_template(read_document(Path(path), "markers"))
 
 
 def _check_names(document: Document, model: MarkersModel) -> None:

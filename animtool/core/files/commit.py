@@ -27,13 +27,25 @@ _NO_LINK_ERRORS = frozenset(
 )
 
 
+# Where files can be written instead, if a folder permits none.
+WRITE_HINT = f"choose another {argument('output')}, or allow writing there: chmod u+w"
+_ERROR_HINTS = {
+    errno.ENOSPC: "free some space",
+    errno.EDQUOT: "free some space",
+    errno.EACCES: WRITE_HINT,
+    errno.EPERM: WRITE_HINT,
+    errno.EROFS: f"choose another {argument('output')}, on a disk that is writable",
+    errno.ENAMETOOLONG: "choose a shorter name",
+}
+
+
 def output_error(path: Path, error: BaseException | str) -> OutputError:
     """Return the error for an output that could not be written."""
     reason = error if isinstance(error, str) else str(error)
     if isinstance(error, OSError):
         reason = error.strerror or str(error)
     reason = TEMPORARY_NAME.sub(lambda _: path.name, reason)
-    hint = "free some space" if getattr(error, "errno", 0) == errno.ENOSPC else None
+    hint = _ERROR_HINTS.get(getattr(error, "errno", 0))
     return OutputError(
         Fault("OUT002", f"cannot be written: {reason}", str(path), (), hint)
     )

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, BinaryIO
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, OptionError, OutputError, counted
 from animtool.core.files.commit import (
+    WRITE_HINT,
     OutputTarget,
     WrittenFile,
     commit_files,
@@ -180,7 +181,7 @@ def _require_writable_folder(folder: Path, path: Path) -> None:
         raise OutputError(Fault("OUT002", message, str(path), (), hint))
     if not os.access(folder, os.W_OK | os.X_OK):
         message = f"cannot be written: no permission in {str(folder)!r}"
-        raise OutputError(Fault("OUT002", message, str(path)))
+        raise OutputError(Fault("OUT002", message, str(path), (), WRITE_HINT))
 
 
 @contextlib.contextmanager

@@ -20,7 +20,7 @@ from typing import Any
 
 from animtool.core.arguments import argument, clause
 from animtool.core.errors import Fault, FormatError
-from animtool.core.names import most_similar
+from animtool.core.names import FILE_KINDS, most_similar
 from animtool.core.record import dataclass
 
 
@@ -185,8 +185,13 @@ class PathResolver:
 NO_FILE = "does not exist"
 
 
-def unreadable_error(path: Path, reason: OSError | str) -> FormatError:
-    """Return the error for an unreadable file, spelled as the user did (IO001)."""
+def unreadable_error(
+    path: Path, reason: OSError | str, kind: str | None = None
+) -> FormatError:
+    """Return the error for an unreadable file, spelled as the user did (IO001).
+
+    ``kind`` is the kind of file that is read, such as ``rig``, if only one is.
+    """
     is_missing = isinstance(reason, FileNotFoundError | NotADirectoryError)
     if is_missing or reason == NO_FILE:
         message = NO_FILE
@@ -197,7 +202,11 @@ def unreadable_error(path: Path, reason: OSError | str) -> FormatError:
             reason = reason.strerror or str(reason)
         subject = "it " if reason.startswith("is a ") else ""
         message = f"cannot be read: {subject}{reason}"
-    hint = unexpanded_hint(str(path)) or nearest_file(path) or _folder_hint(path)
+    if isinstance(reason, PermissionError):
+        hint: str | None = "allow reading it: chmod u+r"
+    else:
+        hint = unexpanded_hint(str(path)) or nearest_file(path)
+        hint = hint or _folder_hint(path, kind)
     return FormatError(Fault("IO001", message, str(path), (), hint))
 
 
@@ -242,16 +251,48 @@ def url_hint(text: str) -> str | None:
     return "only local files are read: download it, and write its path"
 
 
-_UNLIKELY_SUFFIXES = {"", ".md", ".npz", ".png", ".py", ".txt"}
+_UNLIKELY_SUFFIXES = {"", ".md", ".npz", ".png", ".py", ".sh", ".txt"}
 
 
-def _folder_hint(path: Path) -> str | None:
+def require_file(path: Path, kind: str) -> None:
+    """Raise if the path of a file of a kind, such as ``rig``, is a folder (IO001)."""
+    try:
+        is_folder = path.is_dir()
+    except (OSError, ValueError):
+        return
+    if is_folder:
+        raise unreadable_error(path, _NON_FILE_KINDS[stat.S_IFDIR], kind)
+
+
+# Kinds of files that are also read from formats of other programs.
+_KINDS_WITH_FORMATS = {"rig", "cameras"}
+
+
+def _is_of_no_kind(path: Path) -> bool:
+    """Return whether the name of a file states no kind, and its suffix is a format."""
+    words = path.name.lower().split(".")[1:]
+    is_likely = path.suffix.lower() not in _UNLIKELY_SUFFIXES
+    return is_likely and not set(words).intersection(FILE_KINDS)
+
+
+def _folder_hint(path: Path, kind: str | None) -> str | None:
     """Return a hint to name a file in a folder; None if the path is not a folder."""
     try:
         entries = islice(path.iterdir(), MAX_SEARCHED_NAMES)
         files = sorted(entry for entry in entries if entry.is_file())
     except (OSError, ValueError):
         return None
+    if kind is not None:
+        # Rigs and cameras have other formats, too; those are no files of other kinds.
+        files = [
+            file
+            for file in files
+            if f".{kind}." in file.name.lower()
+            or (kind in _KINDS_WITH_FORMATS and _is_of_no_kind(file))
+        ]
+        files.sort(key=lambda file: f".{kind}." not in file.name.lower())
+        hint = f"name a {kind} file"
+        return f"{hint} in it, such as {files[0]}" if files else hint
     # Texts, scripts and arrays are rarely what is meant; YAML files are rigs, clips and
     # scenes.
     files.sort(key=lambda file: file.suffix.lower() in _UNLIKELY_SUFFIXES)

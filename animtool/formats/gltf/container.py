@@ -10,8 +10,9 @@ from pathlib import Path
 from typing import Any, NoReturn
 from urllib.parse import unquote_to_bytes, urlsplit
 
-from animtool.core.errors import FormatError, excerpt
+from animtool.core.errors import Fault, FormatError, excerpt
 from animtool.core.files.reading import not_a_file_reason, read_input
+from animtool.core.json_problems import json_problem
 from animtool.core.record import dataclass
 from animtool.formats.file_diagnostics import FileDiagnostics
 from animtool.formats.gltf.json_items import JsonItem
@@ -47,7 +48,7 @@ def read_container(path: Path, diagnostics: FileDiagnostics) -> Container:
     else:
         json_chunk, binary = _read_chunks(content, diagnostics)
         text = bytes(json_chunk)
-    json_root = _parse_json(text, diagnostics)
+    json_root = _parse_json(text, diagnostics, is_glb=is_glb)
     # Escaped names are not found, but no supported extension has one.
     may_have_extensions = b'"extensions"' in text
     return Container(json_root, binary, is_glb, len(content), may_have_extensions)
@@ -125,7 +126,7 @@ def _read_chunks(
     return chunks[JSON_CHUNK], chunks.get(BIN_CHUNK)
 
 
-def _parse_json(text: bytes, diagnostics: FileDiagnostics) -> JsonItem:
+def _parse_json(text: bytes, diagnostics: FileDiagnostics, *, is_glb: bool) -> JsonItem:
     """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
         message = f"the JSON has {len(text) / 1e6:.0f} MB; the limit is 200"
@@ -135,26 +136,32 @@ def _parse_json(text: bytes, diagnostics: FileDiagnostics) -> JsonItem:
         text = text[len(_BOM) :]
     try:
         value = json.loads(text.decode("utf-8"), parse_constant=_refuse_constant)
+    except json.JSONDecodeError as error:
+        raise FormatError(
+            _syntax_fault(error, diagnostics.path, is_glb=is_glb)
+        ) from None
     except (ValueError, RecursionError) as error:
-        diagnostics.fail(
-            "GLT001", "", f"the JSON cannot be read: {_json_reason(error)}"
-        )
+        is_nested = isinstance(error, RecursionError)
+        reason = "it is nested too deeply" if is_nested else str(error)
+        hint = None if is_nested else "export the file again"
+        diagnostics.fail("GLT001", "", f"the JSON cannot be read: {reason}", hint)
     if not isinstance(value, dict):
         diagnostics.fail("GLT001", "", "the JSON must be an object")
     return JsonItem(value, "", diagnostics)
 
 
-def _json_reason(error: Exception) -> str:
-    """Return why a JSON text cannot be parsed and how to repair it."""
-    if isinstance(error, RecursionError):
-        return "it is nested too deeply"
-    if not isinstance(error, json.JSONDecodeError):
-        return f"{error}; export the file again"
-    location = f"line {error.lineno}, column {error.colno}"
-    if not error.doc[error.pos :].strip():
-        return f"it ends too early, at {location}; copy or export the file again"
-    unexpected_text = excerpt(error.doc[error.pos :].split("\n")[0], 20)
-    return f"{unexpected_text} is unexpected at {location}; export the file again"
+def _syntax_fault(error: json.JSONDecodeError, path: str, *, is_glb: bool) -> Fault:
+    """Return the fault of a JSON syntax error: with its line in a .gltf."""
+    problem = json_problem(error)
+    hint = problem.repair or "copy or export the file again"
+    if not is_glb:
+        place = problem.line
+        return Fault(
+            "GLT001", problem.message, path, (place,), hint, column=problem.column
+        )
+    message = f"the JSON chunk cannot be read: {problem.message}, at line "
+    message += f"{problem.line}, column {problem.column} of the chunk"
+    return Fault("GLT001", message, path, (), "export the file again")
 
 
 def _refuse_constant(name: str) -> Any:

@@ -8,11 +8,13 @@ from collections.abc import Iterator
 from dataclasses import field
 from xml.sax.saxutils import quoteattr
 
-from animtool.core.errors import Severity, counted, excerpt
+from animtool.core.errors import Severity, counted, excerpt, listed
 from animtool.core.record import dataclass
 from animtool.formats.robots.diagnostics import XmlDiagnostics, element_label, to_number
 from animtool.formats.robots.packages import OutsideError, PackageFolders
 from animtool.formats.robots.xml import XmlElement
+
+MAX_LISTED_FILES = 8
 
 # Sections that a rig cannot store, and their labels.
 _SECTION_LABELS = {
@@ -300,23 +302,25 @@ def _check_files(
         for name, value in compiler.attributes.items()
         if name in {"assetdir", "meshdir", "texturedir"}
     }
-    missing_count = 0
+    missing_files: dict[str, XmlElement] = {}
     for element, name in _file_attributes(root):
         setting = "texturedir" if element.tag == "texture" else "meshdir"
         folder = folders.get(setting, folders.get("assetdir", ""))
         try:
             if packages.find(f"{folder}/{name}" if folder else name) is None:
-                missing_count += 1
+                missing_files.setdefault(name, element)
         except OutsideError as error:
             message = f"file {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
             location = named_element_label(element)
             diagnostics.add("MJC016", element, message, hint, location=location)
-    if missing_count:
-        message = f"{counted(missing_count, 'file')} of its assets not found"
+    if missing_files:
+        message = f"{counted(len(missing_files), 'file')} of its assets not found: "
+        message += listed([excerpt(n, 80) for n in missing_files], MAX_LISTED_FILES)
         hint = "motion needs none of them"
-        diagnostics.add("MJC103", None, message, hint, severity=Severity.NOTE)
+        element = next(iter(missing_files.values()))
+        diagnostics.add("MJC103", element, message, hint, severity=Severity.NOTE)
 
 
 def _file_attributes(root: XmlElement) -> Iterator[tuple[XmlElement, str]]:

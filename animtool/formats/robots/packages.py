@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import re
+from itertools import islice
 from pathlib import Path
 
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import exists
+from animtool.core.names import MAX_SEARCHED_NAMES
 from animtool.core.record import dataclass
 from animtool.formats.robots.xml import XmlCodes, read_xml
 
@@ -16,6 +18,7 @@ _PACKAGE_SCHEMES = {"package", "model"}
 # Maximum number of parent folders that are searched for a file's package.
 MAX_PARENT_FOLDERS = 12
 PACKAGE_FILE = "package.xml"
+_LEADING_DOTS = re.compile(r"^(?:\.\.?/)+")
 
 
 class OutsideError(ValueError):
@@ -73,6 +76,62 @@ class PackageFolders:
             self._inside_project(self.folder / package / relative_path, name)
         return None
 
+    def suggest(self, name: str) -> str | None:
+        """Return a name that leads to the file that a missing name likely means.
+
+        It has the same path in another package, such as the one of the robot's file,
+        or the same name in other letters in the same folder.
+        """
+        uri_match = _URI_SCHEME_PATTERN.fullmatch(name)
+        if uri_match is None:
+            relative_path = _LEADING_DOTS.sub("", name)
+            for package in self.packages:  # in a folder of another machine
+                relative_path = relative_path.rpartition(f"/{package}/")[2]
+        elif uri_match[1].lower() in _PACKAGE_SCHEMES:
+            relative_path = uri_match[2].lstrip("/").partition("/")[2]
+        else:
+            return None
+        if not relative_path or relative_path.startswith("/"):
+            return None
+        names = [f"package://{package}/{relative_path}" for package in self.packages]
+        for root in self.roots:
+            for parent in (self.folder, *self.folder.parents):
+                if not parent.is_relative_to(root):
+                    break
+                if uri_match is None:
+                    levels = len(self.folder.relative_to(parent).parts)
+                    names.append("../" * levels + relative_path)
+                elif parent.name:
+                    names.append(f"package://{parent.name}/{relative_path}")
+        similar_name = self._similar_file(name)
+        if similar_name is not None:
+            names.append(similar_name)
+        return next((other for other in names if self._leads_to_file(other)), None)
+
+    def _leads_to_file(self, name: str) -> bool:
+        try:
+            path = self.find(name)
+        except OutsideError:
+            return False
+        return path is not None and path.is_file()
+
+    def _similar_file(self, name: str) -> str | None:
+        """Return a name with its last part replaced by that of a similar file."""
+        folder_name, _, file_name = name.rpartition("/")
+        try:
+            folder = self.find(f"{folder_name}/.") if folder_name else self.folder
+            if folder is None or not folder.is_dir():
+                return None
+            files = islice(folder.iterdir(), MAX_SEARCHED_NAMES)
+            names = sorted(file.name for file in files)
+        except (OSError, OutsideError):
+            return None
+        key = _file_key(file_name)
+        similar_name = next((other for other in names if _file_key(other) == key), None)
+        if similar_name is None:
+            return None
+        return f"{folder_name}/{similar_name}" if folder_name else similar_name
+
     def _candidate_folders(self, package: str) -> list[Path]:
         """Return the folders that may contain a package."""
         folders = []
@@ -96,6 +155,23 @@ class PackageFolders:
             roots = ", ".join(dict.fromkeys(map(str, self.roots)))
             raise OutsideError(f"it leads out of {roots}")
         return real_path if exists(real_path) else None
+
+
+def _file_key(name: str) -> str:
+    """Return a file name without case and separators, in which spellings differ."""
+    return re.sub(r"[-_ ]", "", name.casefold())
+
+
+def package_of(name: str) -> str:
+    """Return the package in a URI of a file; empty without one.
+
+    >>> package_of("package://arm/meshes/a.stl"), package_of("a.stl")
+    ('arm', '')
+    """
+    uri_match = _URI_SCHEME_PATTERN.fullmatch(name)
+    if uri_match is None or uri_match[1].lower() not in _PACKAGE_SCHEMES:
+        return ""
+    return uri_match[2].lstrip("/").partition("/")[0]
 
 
 def _package_name(folder: Path, codes: XmlCodes) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,9 +11,14 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import FormatError, Severity, counted, excerpt, listed
 from animtool.core.files.reading import read_input
 from animtool.formats.robots.diagnostics import XmlDiagnostics, element_label
-from animtool.formats.robots.packages import OutsideError, PackageFolders
+from animtool.formats.robots.packages import (
+    OutsideError,
+    PackageFolders,
+    package_of,
+)
 from animtool.formats.robots.parts import Triangles
 from animtool.formats.robots.triangles import triangulate_shape
+from animtool.formats.robots.xml import XmlElement
 from animtool.formats.urdf.elements import XML_CODES, UrdfFile, Visual
 from animtool.maths import so3
 
@@ -41,7 +47,7 @@ def find_mesh_files(
         return {}
     folders = PackageFolders.from_file(path, XML_CODES)
     files: dict[str, Path] = {}
-    missing_files: dict[str, None] = {}
+    missing_files: dict[str, XmlElement] = {}
     outside_files: set[tuple[str, str]] = set()
     for link, mesh in meshes:
         name = mesh.attributes["filename"]
@@ -54,20 +60,50 @@ def find_mesh_files(
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
             hint = "copy it into the project, or name its folder in animtool.toml: "
             hint += "roots = [...]"
+            suggestion = folders.suggest(name)
+            if suggestion is not None:
+                hint = f"write {suggestion}"
             location = element_label("link", link.name)
             diagnostics.add("URD016", mesh, message, hint, location=location)
             continue
         if file_path is None:
-            missing_files[name] = None
+            missing_files[name] = mesh
         else:
             files[name] = file_path
-    if missing_files:
-        message = f"{counted(len(missing_files), 'mesh', 'meshes')} not found: "
-        message += listed([excerpt(n, 80) for n in missing_files], MAX_LISTED_FILES)
-        hint = "motion needs none of them; package:// means a folder of that name in "
-        hint += "the project, or the package that the file is in"
-        diagnostics.add("URD103", None, message, hint, severity=Severity.NOTE)
+    _record_missing_files(missing_files, folders, diagnostics)
     return files
+
+
+def _record_missing_files(
+    missing_files: Mapping[str, XmlElement],
+    folders: PackageFolders,
+    diagnostics: XmlDiagnostics,
+) -> None:
+    """Record meshes that are not found, and those found under another name.
+
+    ``missing_files`` are the first elements of each name.
+    """
+    suggestions = {name: folders.suggest(name) for name in missing_files}
+    for name, element in missing_files.items():
+        suggestion = suggestions[name]
+        if suggestion is not None:
+            message = f"the mesh {excerpt(name, 100)} is not found and is left out"
+            hint, package = f"write {suggestion}", package_of(suggestion)
+            if package != package_of(name):
+                hint = f"it is in the package {package!r}: {hint}"
+            diagnostics.add("URD113", element, message, hint, severity=Severity.WARNING)
+    absent_files = [name for name in missing_files if suggestions[name] is None]
+    if not absent_files:
+        return
+    message = f"{counted(len(absent_files), 'mesh', 'meshes')} not found: "
+    message += listed([excerpt(n, 80) for n in absent_files], MAX_LISTED_FILES)
+    packages = dict.fromkeys(filter(None, map(package_of, absent_files)))
+    names = " and ".join(map(repr, list(packages)[:2]))
+    noun = "package" if len(packages) == 1 else "packages"
+    hint = f"put {f'the {noun} {names}' if packages else 'them'} in the project "
+    hint += "if the meshes should be seen; motion does not need them"
+    element = missing_files[absent_files[0]]
+    diagnostics.add("URD103", element, message, hint, severity=Severity.NOTE)
 
 
 def read_surfaces(

@@ -42,6 +42,7 @@ from animtool.preview.pictures.request import (
 )
 from animtool.preview.pictures.scene import SceneRenderer
 from animtool.preview.pictures.sources import theme_colors
+from animtool.preview.timing import MAX_FRAME_DISTANCE
 
 # Gap between the pictures of a sheet [px].
 SHEET_GAP = 4
@@ -192,7 +193,7 @@ def _check_options(
     picture_size(pictures, kind, is_sheet=bool(sheet or frames))
     requested_options = {
         "sheet": sheet,
-        "frames": frames,
+        "frame_range": frames,
         "camera": pictures.camera[1:],
     }
     multi_picture_options = [name for name, value in requested_options.items() if value]
@@ -202,7 +203,9 @@ def _check_options(
         raise option_error(multi_picture_options[0], message, hint)
     if sheet and len(frames) > sheet[0] * sheet[1]:
         message = f"{len(frames)} frames do not fit on a sheet of {pictures.sheet}"
-        raise option_error("frames", message, "list fewer frames, or enlarge the sheet")
+        raise option_error(
+            "frame_range", message, "list fewer frames, or enlarge the sheet"
+        )
     if pictures.turntable and (multi_picture_options or not kind.codec):
         hint = "name it .gif, .webp, .mp4 or .webm"
         raise option_error("turntable", "a still has no turntable", hint)
@@ -267,10 +270,10 @@ class PictureRenderer:
             samples = []
             for frame in self._frames:
                 sample = int(np.argmin(np.abs(codes - frame)))
-                if abs(codes[sample] - frame) > 0.5:
+                if abs(codes[sample] - frame) > MAX_FRAME_DISTANCE:
                     ends = frame_label(codes[0]), frame_label(codes[-1])
                     message = (
-                        f"{argument('frames')}: frame {frame} is not in the "
+                        f"{argument('frame_range')}: frame {frame} is not in the "
                         f"file, which has frames {ends[0]}-{ends[1]}"
                     )
                     raise OptionError(Fault("CLI005", message))

@@ -75,7 +75,7 @@ def load_scene(
     Raises:
         FormatError: With every fault of the file, each with line and column.
     """
-    return parse_scene(read_document(Path(path)), variables, parts=parts)
+    return parse_scene(read_document(Path(path), "scene"), variables, parts=parts)
 
 
 def parse_scene(
@@ -110,6 +110,14 @@ def parse_scene(
         document.faults += build_faults(document, scene.systems)
     document.check()
     return scene
+
+
+def check_scene_values(document: Document) -> None:
+    """Record the faults of keys and values of a scene, without opening its files."""
+    _expand_short_forms(document)
+    model_type = model_for(document.value)
+    resolve_variables(document, model_type, {}, ())
+    validate_document(document, model_type)
 
 
 def _expand_short_forms(document: Document) -> None:

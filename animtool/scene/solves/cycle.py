@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import ClassVar
 
-from animtool.core.errors import Fault, faults_in, refuse_warnings
+from animtool.core.errors import Fault, faults_in, refuse_warnings, with_notices
 from animtool.core.record import dataclass
 from animtool.edit.cycle import Cycle, find_cycle, measure_cycle
 from animtool.edit.loop_options import LoopOptions
@@ -57,7 +57,7 @@ def loop_source(
         check()
     stream = open_checked(source, source_options, progress=progress)
     take = stream.collect()
-    with faults_in(source):
+    with faults_in(source), with_notices(stream.notices):
         if options.find:
             lengths = {"shortest": options.shortest, "longest": options.longest}
             cycle = find_cycle(take, options.first, options.last, **lengths)

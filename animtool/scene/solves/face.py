@@ -223,8 +223,9 @@ def _load_model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
     if job.landmarks is not None:
         return face_model(load_landmarks(job.landmarks), rig)
     if capture.model is None:
-        message = "has no face (neutral_mm, delta_mm, shape_names)"
-        hint = f"place them on the rig with {argument('landmarks')} FILE"
+        message = "does not say where its landmarks are on the rig"
+        hint = f"name a landmarks file with {argument('landmarks', 'FILE')}, or store "
+        hint += "the face in an npz: neutral_mm, delta_mm, shape_names"
         raise OptionError(Fault("FAC003", message, str(job.capture), (), hint))
     return capture.model
 

@@ -17,6 +17,7 @@ from animtool.motion.reorient import placement_notice, remove_placement
 from animtool.motion.take import TakeStream
 from animtool.retarget.map import JointMap, map_text
 from animtool.retarget.motion import Retargeting
+from animtool.retarget.names import check_presets
 from animtool.retarget.options import RetargetOptions
 from animtool.retarget.report import RetargetReport
 from animtool.retarget.take_pass import checked_blocks, retarget_stream
@@ -132,6 +133,8 @@ def run_retarget(job: RetargetJob, *, progress: Progress = None) -> RetargetResu
         hint = "to retarget folders, run a batch of a scene with the pass retarget: "
         hint += "animtool batch"
         raise OptionError(Fault("IO001", "is a folder", str(job.source), (), hint))
+    options = job.options
+    check_presets(preset=options.preset, target_preset=options.target_preset)
     solved_output = job.solved_output
     solved_output.check((job.source, job.rig, job.options.map, job.bake.rig_layer))
     with atomic_outputs():

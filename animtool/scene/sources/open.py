@@ -13,7 +13,7 @@ from animtool.core.files.reading import FileState, record_input
 from animtool.core.loaded import check_loaded
 from animtool.core.names import has_kind_suffix
 from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
-from animtool.core.rates import OptionalFraction, rate_option
+from animtool.core.rates import OptionalFraction, rate_option, rate_warning
 from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
@@ -350,6 +350,13 @@ def open_source(
     if "progress" in reader.options:
         arguments["progress"] = progress
     stream = cast("TakeStream", reader.source_opener(path)(path, **arguments))
+    if options.fps is not None:
+        known_codes = {notice.code for notice in stream.notices}
+        stream.notices.extend(
+            notice.in_file(path)
+            for notice in rate_warning(options.fps, "source.fps")
+            if notice.code not in known_codes
+        )
     if "unit" not in reader.options or "unit" in arguments:
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)

@@ -93,9 +93,11 @@ class RigidBodies:
             if refusals.faults:
                 continue
             notices = [
-                _locate_fault(notice, location, origin) for notice in kind.notices
+                locate_fault(notice, location, origin) for notice in kind.notices
             ]
-            kinds.append(replace(kind, notices=notices))
+            kinds.append(
+                replace(kind, notices=notices, location=location, origin=origin)
+            )
             entry_poses: Poses = entry_data["poses"]
             for k, (point, rotation) in enumerate(zip(points, rotations, strict=True)):
                 is_numbered = len(points) > 1 or model.grid is not None
@@ -380,11 +382,11 @@ def _entry_faults(location: str, origin: str | None) -> Iterator[None]:
     try:
         yield
     except OptionError as error:
-        faults = [_locate_fault(fault, location, origin) for fault in error.faults]
+        faults = [locate_fault(fault, location, origin) for fault in error.faults]
         raise OptionError(faults) from error
 
 
-def _locate_fault(fault: Fault, location: str, origin: str | None) -> Fault:
+def locate_fault(fault: Fault, location: str, origin: str | None) -> Fault:
     """Return a fault located at an entry, or at the prim that the entry names."""
     if origin is not None:
         return replace(fault, where=location, message=f"{origin}: " + fault.message)

@@ -66,6 +66,8 @@ class BodyKind:
     axes: FloatArray  # rotation from principal axes to the body (4,)
     mesh: MeshFrame  # displayed mesh
     notices: Sequence[Fault] = ()
+    location: str = ""  # its entry of the file
+    origin: str | None = None  # prim that the entry names, if any
 
     @cached_property
     def principal_frame(self) -> FloatArray:

@@ -42,12 +42,15 @@ def break_notices(state: RigidState, joints: Joints) -> Iterator[Fault]:
 
 
 def depth_notices(
-    state: RigidState, bounding_radius: float, shape_names: Callable[[], Sequence[str]]
+    state: RigidState,
+    bounding_radius: float,
+    shape_names: Callable[[], Sequence[str]],
+    reported_pairs: Sequence[set[str]] = (),
 ) -> Iterator[Fault]:
     """Yield warnings about penetration at the start or later (SIM126, SIM123).
 
     ``bounding_radius`` is the smallest of all bodies [m]. ``shape_names`` returns the
-    names of all shapes.
+    names of all shapes. ``reported_pairs`` are names of bodies known to overlap.
     """
 
     def pair_text(pair_index: int) -> str:
@@ -57,6 +60,8 @@ def depth_notices(
 
     max_depth, start_depth = state.deepest.tolist()
     if start_depth > MAX_START_OVERLAP * bounding_radius:
+        if {shape_names()[i] for i in state.deepest_pairs[1]} in reported_pairs:
+            return
         message = f"{pair_text(1)} start {length_text(start_depth)} inside each other: "
         message += "they are separated at up to 2 m/s"
         hint = "leave a small gap between them at the start"

@@ -20,6 +20,7 @@ from animtool.sim.system import Energy
 from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import RigidBodies
+from animtool.systems.rigid.coincident import coincident_notices, coincident_pairs
 from animtool.systems.rigid.joints import (
     Joints,
     build_joints,
@@ -105,6 +106,7 @@ class RigidSimulation(RigidStates):
         last_phase = self._phases.phase(self._phases.last_index, np.zeros(0, np.bool_))
         self._colliders = last_phase.surroundings.colliders
         self._locked_notices = locked_notices(joints, bodies)
+        self._coincident_pairs = coincident_pairs(bodies, joints)
         self._kernel_settings = (
             spec.methods.index(spec.method),
             spec.substeps,
@@ -405,13 +407,16 @@ class RigidSimulation(RigidStates):
             "residual": state.residual,
         }
         notices = [*self.joints.notices, *self._locked_notices]
+        notices += coincident_notices(self.bodies, self._coincident_pairs)
         notices += self._colliders.notices()
         notices += oscillation_notices(state, self.joints, self._spec.step)
         for kind in self.bodies.kinds:
             notices += kind.notices
         notices += break_notices(state, self.joints)
         min_radius = float(self.bodies.bounding_radii.min(initial=np.inf))
-        notices += depth_notices(state, min_radius, self._shape_names)
+        names = self.bodies.names
+        reported_pairs = [{names[i], names[j]} for i, j in self._coincident_pairs]
+        notices += depth_notices(state, min_radius, self._shape_names, reported_pairs)
         return Diagnostics(self.energy(state), values, notices)
 
     def _shape_names(self) -> list[str]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import errno
 import os
 import subprocess
 import sys
@@ -293,3 +294,16 @@ def test_two_outputs_of_one_name_are_refused(tmp_path: Path) -> None:
     with pytest.raises(OptionError):
         write()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_folder_without_permission_has_a_way_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("os.access", lambda *_: False)
+    with pytest.raises(OutputError) as caught:
+        check_outputs([tmp_path / "a.usdc"], [], overwrite=False)
+    assert caught.value.code == "OUT002"
+    assert caught.value.faults[0].hint
+    for number in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.ENAMETOOLONG):
+        error = output_error(tmp_path / "a.usdc", OSError(number, "no"))
+        assert error.faults[0].hint

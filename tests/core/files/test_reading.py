@@ -11,6 +11,7 @@ from support.faults import raises
 
 from animtool.batch.item import read_path_rules
 from animtool.cli.main import run
+from animtool.clip.clip import Clip
 from animtool.core.config import find_config
 from animtool.core.errors import AnimtoolError, FormatError
 from animtool.core.files import reading as files
@@ -20,9 +21,12 @@ from animtool.core.files.reading import (
     open_input,
     read_input,
     recorded_inputs,
+    require_file,
     unreadable_error,
 )
 from animtool.formats.bvh.read import read_bvh
+from animtool.ik.file import load_targets
+from animtool.rig.skeleton import Rig
 
 
 @pytest.fixture
@@ -280,3 +284,40 @@ def test_what_is_refused_is_closed(tmp_path: Path) -> None:
         except FormatError:
             continue
     assert len(list(Path("/proc/self/fd").iterdir())) == before
+
+
+@pytest.mark.parametrize(
+    ("kind", "names", "meant"),
+    [
+        ("targets", ["a.clip.yaml", "b.targets.yaml"], "b.targets.yaml"),
+        ("clip", ["a.bvh", "a.rig.yaml"], None),
+        ("rig", ["a.scene.yaml", "a.bvh", "b.rig.yaml"], "b.rig.yaml"),
+        ("rig", ["a.clip.yaml", "b.bvh", "a.sh"], "b.bvh"),
+    ],
+)
+def test_a_folder_names_a_file_of_the_kind(
+    tmp_path: Path, kind: str, names: list[str], meant: str | None
+) -> None:
+    for name in names:
+        (tmp_path / name).touch()
+    with pytest.raises(FormatError) as caught:
+        require_file(tmp_path, kind)
+    hint = f"name a {kind} file"
+    if meant is not None:
+        hint += f" in it, such as {tmp_path / meant}"
+    assert (caught.value.code, caught.value.faults[0].hint) == ("IO001", hint)
+
+
+def test_readers_of_one_kind_name_such_a_file(tmp_path: Path) -> None:
+    for name in ("a.scene.yaml", "b.clip.yaml", "c.rig.yaml", "d.targets.yaml"):
+        (tmp_path / name).touch()
+    loaders = {"b.clip.yaml": Clip.load, "c.rig.yaml": Rig.load}
+    loaders["d.targets.yaml"] = load_targets
+    for name, load in loaders.items():
+        with raises(FormatError, "IO001", match=f"{name}$"):
+            load(tmp_path)
+
+
+def test_a_file_without_permission_has_a_way_on(tmp_path: Path) -> None:
+    error = unreadable_error(tmp_path / "a.bvh", PermissionError())
+    assert "chmod u+r" in str(error.faults[0].hint)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 from collections.abc import Callable
 from fractions import Fraction
 from pathlib import Path
@@ -447,3 +448,25 @@ def test_humanoid_bones_say_which_joint_is_which(tmp_path: Path) -> None:
     found = find_anatomy(rig)
     assert found.preset == "vrm1"
     assert [found.roles[k] for k in (0, 4, 5)] == ["hips", "neck", "head"]
+
+
+def test_json_edited_by_hand_is_repaired_at_its_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.gltf"
+    path.write_text('{\n  "asset": {"version": "2.0",\n  }\n}\n')
+    with pytest.raises(FormatError) as caught:
+        read_gltf(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines, fault.column) == ("GLT001", (2,), 29)
+    assert fault.hint == "remove the comma"
+
+
+def test_json_of_a_glb_is_exported_again(tmp_path: Path) -> None:
+    chunk = b'{"asset": {},} '.ljust(16)
+    header = struct.pack("<4sIIII", b"glTF", 2, 20 + len(chunk), len(chunk), 0x4E4F534A)
+    path = tmp_path / "a.glb"
+    path.write_bytes(header + chunk)
+    with pytest.raises(FormatError) as caught:
+        read_gltf(path)
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.lines) == ("GLT001", ())
+    assert "line 1, column 13" in fault.message

@@ -331,3 +331,33 @@ def test_a_robot_in_millimetres(tmp_path: Path, factor: int, found: bool) -> Non
 
     text = re.sub('<origin xyz="([^"]*)"', scaled, ARM)
     assert ("RIG217" in codes(write(tmp_path, text))) is found
+
+
+def test_a_mesh_under_another_package_name_is_named(tmp_path: Path) -> None:
+    """URD113: the file is there, in the package of the URDF or in its folder."""
+    package = tmp_path / "arm_description"
+    for name in ("urdf", "meshes"):
+        (package / name).mkdir(parents=True)
+    write(package, "<package><name>arm_description</name></package>", "package.xml")
+    (package / "meshes/part_a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    right = "package://arm_description/meshes/part_a.obj"
+    for name in (
+        "package://arm_desc/meshes/part_a.obj",
+        "package://arm_description/meshes/Part-A.obj",
+        "meshes/part_a.obj",
+    ):
+        path = write(package / "urdf", with_mesh(name))
+        (notice,) = (n for n in read_urdf_rig(path).notices if n.code == "URD113")
+        assert notice.severity is Severity.WARNING
+        assert notice.lines
+        assert str(notice.hint).endswith(f"write {right}")
+        assert "URD103" not in codes(path)
+    for name in ("../../meshes/part_a.obj", "/x/arm_description/meshes/part_a.obj"):
+        with raises(FormatError, "URD016", match=f"write {right}"):
+            read_urdf_rig(write(package / "urdf", with_mesh(name)))
+    path = write(package / "urdf", with_mesh(right))
+    assert {"URD103", "URD113"}.isdisjoint(codes(path))
+    for name in ("package://arm_desc/meshes/part_b.obj", "part_b.obj"):
+        path = write(package / "urdf", with_mesh(name))
+        assert "URD103" in codes(path)
+        assert "URD113" not in codes(path)

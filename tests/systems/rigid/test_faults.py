@@ -350,3 +350,31 @@ def test_faults_of_bodies_and_joints_come_at_once(tmp_path: Path) -> None:
             "joints[3].body",
         )
     }
+
+
+@pytest.mark.parametrize(
+    ("other", "link", "warns"),
+    [
+        ({}, None, True),
+        ({}, [0, 2, 0], True),
+        ({}, [0, 5, 0], False),  # a gimbal
+        ({"at": [0, 5.5, 0]}, [0, 5.2, 0], False),
+        ({"rotate": [0.8, 0.6, 0, 0]}, [0, 5.2, 0], False),
+        ({"shape": {"sphere": {"radius": 0.2}}}, [0, 5.2, 0], False),
+        ({"density": 500}, [0, 5.2, 0], False),
+    ],
+)
+def test_copies_of_bodies_are_warned_of(
+    tmp_path: Path, other: dict[str, Any], link: list[float] | None, *, warns: bool
+) -> None:
+    """SIM126, even if a joint links them, so that they do not collide."""
+    bar = box((0.4, 0.2, 0.1), at=[0, 5, 0])
+    joints = [{"type": "ball", "body": "copy", "to": "box", "at": link}] if link else []
+    found = Rigid(tmp_path, bar, bar | {"name": "copy"} | other, joints=joints)
+    assert warned(found, "SIM126") == ["bodies[1].at"] * warns
+
+
+def test_copies_that_stand_still_are_no_fault(tmp_path: Path) -> None:
+    wall = box((1, 1, 1), at=[9, 0, 0], kinematic=True)
+    found = Rigid(tmp_path, ball(1), wall, wall | {"name": "copy"}, forces=[])
+    assert not warned(found, "SIM126")
