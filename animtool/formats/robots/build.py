@@ -67,7 +67,8 @@ def _replace_controls(name: str) -> str:
 def build_rig(robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes) -> Rig:
     """Return a robot's rig: metres, radians, Z up, at rest at zero coordinates.
 
-    The rig has the notices of ``diagnostics``, to which contents that are not read are added.
+    The rig has the notices of ``diagnostics``, to which contents that are not read are
+    added.
     """
     joint_names = _assign_names(robot, diagnostics, codes)
     joints: list[Joint] = []
