@@ -173,6 +173,18 @@ def test_what_cannot_be_a_root() -> None:
         assert error.value.code == code
 
 
+def test_a_root_below_its_hips_says_what_to_write() -> None:
+    take = upright(UpAxis.Y)
+    with pytest.raises(OptionError) as caught:
+        extract_root(take, "chest", hips="hips")
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.hint) == ("SCN020", 'write root="hips", hips="chest"')
+    with pytest.raises(OptionError) as caught:
+        extract_root(take, hips="pelvis")
+    (fault,) = caught.value.faults
+    assert (fault.code, fault.hint) == ("SCN012", "allowed: hips, chest")
+
+
 def test_a_joint_that_a_control_moves_stays_whatever_its_name() -> None:
     take = upright(UpAxis.Y)
     hips, chest = take.rig.joints

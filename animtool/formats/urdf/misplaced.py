@@ -38,7 +38,7 @@ _MIN_SIMILARITY = 0.65
 
 
 @dataclass(frozen=True, slots=True)
-class _Place:
+class _ElementContext:
     """An element and its ancestors, the innermost first."""
 
     element: XmlElement
@@ -56,14 +56,14 @@ def warn_about_misplaced(root: XmlElement, diagnostics: XmlDiagnostics) -> None:
         known_tags, tags = _CHILDREN[parent.tag], {c.tag for c in parent.children}
         missing_tags = [tag for tag in known_tags if tag not in tags]
         for element in parent.children:
-            place = _Place(element, ancestors)
+            context = _ElementContext(element, ancestors)
             if element.tag in known_tags:
-                _warn_about_attributes(place, diagnostics)
+                _warn_about_attributes(context, diagnostics)
             elif element.tag in STANDARD_TAGS:
-                _warn_about_element(place, diagnostics)
+                _warn_about_element(context, diagnostics)
             elif meant_tag := most_similar(element.tag, missing_tags, _MIN_SIMILARITY):
                 message = f"<{element.tag[:40]}> in <{parent.tag}> is not read"
-                _add(diagnostics, place, message, f"did you mean <{meant_tag}>?")
+                _add(diagnostics, context, message, f"did you mean <{meant_tag}>?")
             if len(diagnostics.notices) >= last_count:
                 return
 
@@ -78,13 +78,13 @@ def _standard_elements(root: XmlElement) -> Iterator[Sequence[XmlElement]]:
         pending += reversed([(child, *ancestors) for child in standard_children])
 
 
-def _warn_about_element(place: _Place, diagnostics: XmlDiagnostics) -> None:
+def _warn_about_element(context: _ElementContext, diagnostics: XmlDiagnostics) -> None:
     """Warn about an element in one that does not hold it."""
-    tag, parent = place.element.tag, place.ancestors[0]
+    tag, parent = context.element.tag, context.ancestors[0]
     homes = [name for name, tags in _CHILDREN.items() if tag in tags]
     message = f"<{tag}> in <{parent.tag}> is not read"
     hint = f"it belongs in {' or '.join(f'<{home}>' for home in homes)}"
-    owner = _likely_owner(place, homes)
+    owner = _likely_owner(context, homes)
     if owner is not None and "name" in owner.attributes:
         name = owner.attributes["name"][:60]
         message += f"; {element_label(owner.tag, name)} (line {owner.line}) has none"
@@ -92,23 +92,29 @@ def _warn_about_element(place: _Place, diagnostics: XmlDiagnostics) -> None:
             is_slide = owner.attributes.get("type") == "prismatic"
             message += f" and {'slides along' if is_slide else 'turns about'} x"
         hint = f'move it into <{owner.tag} name="{name}">'
-    _add(diagnostics, place, message, hint)
+    _add(diagnostics, context, message, hint)
 
 
-def _likely_owner(place: _Place, homes: Sequence[str]) -> XmlElement | None:
+def _likely_owner(context: _ElementContext, homes: Sequence[str]) -> XmlElement | None:
     """Return the element that likely lost another: around, before or after it."""
-    element = place.element
-    siblings = place.ancestors[0].children
+    element = context.element
+    siblings = context.ancestors[0].children
     index = next(i for i, sibling in enumerate(siblings) if sibling is element)
-    candidates = [*place.ancestors, *reversed(siblings[:index]), *siblings[index + 1 :]]
+    candidates = [
+        *context.ancestors,
+        *reversed(siblings[:index]),
+        *siblings[index + 1 :],
+    ]
     return next(
         (c for c in candidates if c.tag in homes and not c.find_all(element.tag)), None
     )
 
 
-def _warn_about_attributes(place: _Place, diagnostics: XmlDiagnostics) -> None:
+def _warn_about_attributes(
+    context: _ElementContext, diagnostics: XmlDiagnostics
+) -> None:
     """Warn about attributes whose names are nearly those of missing ones."""
-    element = place.element
+    element = context.element
     names = _ATTRIBUTES.get(element.tag, ())
     missing_names = [name for name in names if name not in element.attributes]
     for name in element.attributes:
@@ -120,16 +126,18 @@ def _warn_about_attributes(place: _Place, diagnostics: XmlDiagnostics) -> None:
             hint = f"did you mean {meant_name}?"
             if not meant_name:
                 hint = f"its attributes are {', '.join(names)}"
-            _add(diagnostics, place, message, hint)
+            _add(diagnostics, context, message, hint)
 
 
-def _add(diagnostics: XmlDiagnostics, place: _Place, message: str, hint: str) -> None:
+def _add(
+    diagnostics: XmlDiagnostics, context: _ElementContext, message: str, hint: str
+) -> None:
     """Record a warning at an element, with the joint or link around it."""
-    owner = next((e for e in place.ancestors if e.tag in {"joint", "link"}), None)
+    owner = next((e for e in context.ancestors if e.tag in {"joint", "link"}), None)
     name = "" if owner is None else owner.attributes.get("name", "")
     diagnostics.add(
         "URD112",
-        place.element,
+        context.element,
         message,
         hint,
         location=element_label(owner.tag, name) if owner is not None else None,

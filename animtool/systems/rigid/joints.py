@@ -18,6 +18,10 @@ from animtool.motion.physics import relative_pose
 from animtool.sim.colliders import Poses
 from animtool.systems.rigid.bodies import NO_PAIRS, RigidBodies, refuse_unknown
 from animtool.systems.rigid.spec import BodyModel, JointDriveModel, RigidJointModel
+from animtool.systems.rigid.suspicious_joints import (
+    JointEnd,
+    quaternion_order_warnings,
+)
 
 # Width of the kernel's joint table.
 PARAMETER_COUNT = 27
@@ -162,6 +166,7 @@ def build_joints(
     """
     joints: list[BodyJoint] = []
     notices: list[Fault] = []
+    ends: list[JointEnd] = []
     dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
     for i, (model, entry_data) in enumerate(zip(models, joint_data, strict=True)):
         location = f"joints[{i}]"
@@ -206,6 +211,8 @@ def build_joints(
         )
         for body in (second_body, parent) if parent >= 0 else (second_body,):
             notices += _distance_warnings(bodies, body, frame, name, location)
+            ends.append(JointEnd(i, body, frame[:3]))
+    notices += quaternion_order_warnings(bodies, ends)
     return Joints(joints, notices)
 
 

@@ -318,6 +318,34 @@ def test_a_joint_far_from_its_body_is_warned_of(
     assert warned(found, "SIM127") == ["joints[1].at"] * warns
 
 
+@pytest.mark.parametrize(
+    ("w_last", "count", "shift", "warns"),
+    [
+        (True, 3, 0.0, 1),
+        (False, 3, 0.0, 0),
+        # One end of a joint may fit by chance, and massless rods are longer.
+        (True, 1, 0.0, 0),
+        (True, 3, 0.2, 0),
+    ],
+)
+def test_joints_that_are_at_bodies_with_w_last_are_warned_of(
+    tmp_path: Path, count: int, shift: float, warns: int, *, w_last: bool
+) -> None:
+    """SIM127: links along a slope, each held at its ends."""
+    w, x = np.cos(np.radians(32)), np.sin(np.radians(32))
+    along = (0.6 + shift) * np.array([0, 1 - 2 * x * x, 2 * w * x])
+    capsule = {"shape": {"capsule": {"radius": 0.05, "length": 0.5}}}
+    links, joints = [], []
+    for i in range(count):
+        rotate = [x, 0.0, 0.0, w] if w_last else [w, x, 0.0, 0.0]
+        link = {"name": f"link {i}", "at": [*((i + 0.5) * along)], "rotate": rotate}
+        links.append(capsule | link)
+        hinge = {"type": "ball", "body": f"link {i}", "at": [*(i * along)]}
+        joints.append(hinge | ({"to": f"link {i - 1}"} if i else {}))
+    found = Rigid(tmp_path, *links, joints=joints, forces=[], sleep={"speed": 0})
+    assert warned(found, "SIM127") == ["joints[0].at"] * warns
+
+
 def test_faults_of_bodies_and_joints_come_at_once(tmp_path: Path) -> None:
     """Each is one cause: a joint to a body that is wrong is no fault more."""
     bodies = [
