@@ -75,6 +75,8 @@ _EXAMPLE_BY_METAVAR = {
     "A-B[xN]|A,B,...": "1-24",
     "OFFSETS": "-.25,0,.25",
 }
+# Text options that may have the path of a file.
+_OPTIONS_OF_PATHS = {"output", "profile"}
 _EXPLICIT_SOURCES = {ParameterSource.COMMANDLINE, ParameterSource.ENVIRONMENT}
 _CHOICE_MESSAGE = re.compile(r": '([^']*)' is not one of ('.*')\.")
 _EXTRA_ARGUMENTS = re.compile(r"unexpected extra arguments? \((.*)\)")
@@ -181,6 +183,7 @@ def _option_with_file(context: click.Context) -> tuple[str, str] | None:
     for option in _command_options(context.command):
         value = context.params.get(str(option.name))
         is_text = option.type is click.STRING and isinstance(value, str)
+        is_text &= option.name not in _OPTIONS_OF_PATHS
         source = context.get_parameter_source(str(option.name))
         if is_text and source in _EXPLICIT_SOURCES and Path(str(value)).is_file():
             return option.opts[0], str(value)

@@ -330,6 +330,11 @@ def test_a_file_as_the_name_of_a_take_is_exchanged(tmp_path: Path) -> None:
             assert f"animtool {command} {right}" in done.stderr
     done = animtool("info", "--take", "fox.glb", cwd=tmp_path)
     assert "--take has the file fox.glb" in done.stderr
+    (tmp_path / "a.toml").touch()
+    for command, flag in (("batch", "-o"), ("validate", "--profile")):
+        done = animtool(command, "none.bvh", flag, "a.toml", cwd=tmp_path)
+        assert done.code
+        assert "write animtool" not in done.stderr
     done = animtool("info", "none.glb", "--take", "trot", cwd=tmp_path)
     assert "IO001" in done.stderr
     assert "--take" not in done.stderr
