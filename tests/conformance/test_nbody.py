@@ -36,7 +36,7 @@ def test_accelerations_energy_and_momenta(disc: Disc) -> None:
     assert_allclose(v[:5], disc.first["v"], atol=1e-12)
     made = disc.nbody(accuracy=0)
     state, reference = made.initial(), disc.reference
-    found = state.pulls.accelerations
+    found = state.gravity.accelerations
     rms = np.sqrt((found**2).sum(axis=1).mean())
     assert rms == pytest.approx(reference["accel_rms"], rel=DIRECT)
     assert_allclose(found[:10], reference["accel_first10"], atol=DIRECT * rms)
@@ -51,10 +51,10 @@ def test_accelerations_energy_and_momenta(disc: Disc) -> None:
 
 @pytest.mark.parametrize("disc", discs())
 def test_a_tree_is_as_near_as_the_data_ask(disc: Disc) -> None:
-    exact = disc.nbody(accuracy=0).initial().pulls.accelerations
+    exact = disc.nbody(accuracy=0).initial().gravity.accelerations
     for accuracy in (TREE, 1e-4):
         made = disc.nbody(accuracy=accuracy)
-        found = made.initial().pulls.accelerations
+        found = made.initial().gravity.accelerations
         errors = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.sqrt((errors**2).mean()) < accuracy
         if made.uses_tree:
