@@ -179,6 +179,18 @@ def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
     return times
 
 
+def check_checkpoint(checkpoint: Checkpoint, state: FloatArray) -> None:
+    """Raise if a checkpoint holds the state of another system (SIM002)."""
+    if checkpoint.state.shape == state.shape:
+        return
+    message = (
+        f"the saved state has the shape {checkpoint.state.shape}, but that of the "
+    )
+    message += f"system is {state.shape}: it is the state of another system"
+    hint = "resume the system that the checkpoint was made with"
+    raise OptionError(Fault("SIM002", message, where="checkpoint", hint=hint))
+
+
 def check_supported(equations: Equations, integrator: Integrator) -> None:
     """Raise if an integrator does not support the form of a system."""
     name, message, hint = integrator.name, "", None

@@ -11,6 +11,7 @@ from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.sim import adaptive_steps, external
 from animtool.sim.checks import (
     EnergyWatch,
+    check_checkpoint,
     check_start,
     check_supported,
     check_times,
@@ -121,6 +122,8 @@ def integrate(
     sample_times = check_times(times, checkpoint)
     equations = Equations(system)
     check_supported(equations, integrator)
+    if checkpoint is not None:
+        check_checkpoint(checkpoint, system.state)
     start = checkpoint or Checkpoint(float(sample_times[0]), system.state)
     with np.errstate(all="ignore"):
         check_start(equations, start.time, start.state)

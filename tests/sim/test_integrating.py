@@ -398,6 +398,13 @@ def test_what_is_attached_is_at_its_own_time() -> None:
         integrate(system, [2, 3], None, checkpoint)
 
 
+def test_the_checkpoint_of_another_system_is_refused() -> None:
+    checkpoint = integrate(oscillator().system, [0, 1]).checkpoint
+    pair = ForceSystem(lambda _t, x, _v: -x, [[0.0], [1.0]])
+    with raises(OptionError, "SIM002", match="shape"):
+        integrate(pair, [1, 2], None, checkpoint)
+
+
 def test_starts_that_are_refused() -> None:
     def still(_t: float, x: FloatArray, _v: FloatArray) -> FloatArray:
         return np.zeros_like(x)

@@ -212,8 +212,12 @@ def _landmark_anchors(
                 vertex_key = (
                     ("vertex",) if point.vertex is not None else ("vertices", k)
                 )
-                message = f"mesh {mesh!r} has no vertex {vertex}; it has {vertex_count}"
-                document.add("FAC008", (*location, *vertex_key), message)
+                message = (
+                    f"mesh {mesh!r} has no vertex {vertex}; its vertices are 0 to "
+                )
+                message += f"{vertex_count - 1}"
+                hint = "was the file made for another mesh?"
+                document.add("FAC008", (*location, *vertex_key), message, hint)
         equal_weights = [1.0 / max(len(vertices), 1)] * len(vertices)
         anchors.append(
             (mesh, np.array(vertices), np.array(point.weights or equal_weights))

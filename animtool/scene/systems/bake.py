@@ -21,7 +21,7 @@ from animtool.core.errors import (
     warning,
 )
 from animtool.core.files.output import written_size
-from animtool.core.options import refused_options
+from animtool.core.options import changed_options, option_marker, refused_options
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
@@ -282,6 +282,18 @@ def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
     faults = [
         Fault("SCN062", f"{name} is for characters, but there is none", path)
         for name in option_names
+    ]
+    hint = f"lengths are metres and Y is up; {argument('to_units')}, "
+    hint += f"{argument('to_up')} and {argument('fps')} convert the result"
+    faults += [
+        Fault(
+            "SCN062",
+            f"{option_marker(f'source.{name}', option)} is for sources, but the scene "
+            "has none",
+            path,
+            hint=hint if name in {"unit", "up", "fps"} else None,
+        )
+        for name, option in changed_options(options.source).items()
     ]
     if faults:
         raise OptionError(faults)

@@ -13,10 +13,12 @@ from support.faults import raises
 from animtool import BakeOptions, bake
 from animtool.cli.summary import BAKE_TEMPLATE
 from animtool.core.errors import AnimtoolError, FormatError, OptionError, ToleranceError
+from animtool.core.units import LengthUnit
 from animtool.core.values import plain_value
 from animtool.scene.bake.outline import create_outline
 from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
+from animtool.scene.sources.open import SourceOptions
 from animtool.scene.systems.simulation import open_systems
 
 SCENE = """\
@@ -111,7 +113,6 @@ def test_a_start_says_when_the_simulation_begins(tmp_path: Path) -> None:
 
 
 def test_units_and_names_of_the_output(tmp_path: Path) -> None:
-    from animtool.core.units import LengthUnit
 
     scene = written(tmp_path, SCENE.replace("name: embers", "name: my embers!"))
     bake(scene, tmp_path / "m.usda", BakeOptions(prim_path="/World/fx"))
@@ -237,7 +238,13 @@ def test_a_scene_has_systems_or_a_source(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     "options",
-    [BakeOptions(bones=True), BakeOptions(reduce=0.1), BakeOptions(form="split")],
+    [
+        BakeOptions(bones=True),
+        BakeOptions(reduce=0.1),
+        BakeOptions(form="split"),
+        BakeOptions(source=SourceOptions(unit=LengthUnit.CM)),
+        BakeOptions(source=SourceOptions(take="run")),
+    ],
 )
 def test_what_is_for_characters_is_refused(
     tmp_path: Path, options: BakeOptions
