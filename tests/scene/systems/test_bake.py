@@ -113,7 +113,6 @@ def test_a_start_says_when_the_simulation_begins(tmp_path: Path) -> None:
 
 
 def test_units_and_names_of_the_output(tmp_path: Path) -> None:
-
     scene = written(tmp_path, SCENE.replace("name: embers", "name: my embers!"))
     bake(scene, tmp_path / "m.usda", BakeOptions(prim_path="/World/fx"))
     bake(scene, tmp_path / "cm.usda", BakeOptions(to_units=LengthUnit("cm")))
