@@ -50,10 +50,12 @@ class _Leg:
     def rotations(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations of thigh and shin that bring the ankle to its goal."""
         tracks = self.tracks
-        relative_joints = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
-        joints = hips[:, None] + relative_joints
+        relative_positions = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
+        joint_positions = hips[:, None] + relative_positions
         bones = tracks.rotations[:, 1], tracks.rotations[:, 2]
-        return ankle_rotations(self.target, self.side, joints, self.ankle_goal, bones)
+        return ankle_rotations(
+            self.target, self.side, joint_positions, self.ankle_goal, bones
+        )
 
     def solve_swivel(self, hips: FloatArray, fps: float) -> FloatArray:
         """Return the knee swivel that respects the leg's limits ``(F,)`` [rad].

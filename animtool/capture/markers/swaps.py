@@ -251,10 +251,10 @@ def _find_crossed_frames(
 def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
     """Estimate the largest acceleration of two markers from its median [m/s^2]."""
     second_differences = np.linalg.norm(np.diff(pair_positions, 2, axis=0), axis=-1)
-    finite_differences = second_differences[np.isfinite(second_differences)]
-    if not len(finite_differences):
+    valid_differences = second_differences[np.isfinite(second_differences)]
+    if not len(valid_differences):
         return DEFAULT_ACCELERATION
-    largest = ACCELERATION_FACTOR * np.median(finite_differences) * rate**2
+    largest = ACCELERATION_FACTOR * np.median(valid_differences) * rate**2
     return float(np.clip(largest, MIN_ACCELERATION, DEFAULT_ACCELERATION))
 
 

@@ -16,7 +16,7 @@ from animtool.rig.skeleton import Quaternion
 # Tolerance of a quaternion's length, as in the reference validator, and of a matrix
 # decomposed to translation, rotation and scale [1].
 UNIT_TOLERANCE, SHEAR_TOLERANCE = 7.69e-3, 1e-4
-VISIBILITY = "KHR_node_visibility"
+VISIBILITY_EXTENSION = "KHR_node_visibility"
 MAX_NODES = 200_000
 _TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
 _TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
@@ -78,7 +78,7 @@ def _read_node(
                 item.diagnostics.warn("GLT106", item.pointer_to(key), message)
         skin, weights = -1, None
     translation, rotation, scale, has_matrix = _read_transform(item)
-    visibility = item.extension(VISIBILITY)
+    visibility = item.extension(VISIBILITY_EXTENSION)
     is_visible = not visibility or visibility.values.get("visible") is not False
     return Node(
         item.text("name"),

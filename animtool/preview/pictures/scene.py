@@ -162,7 +162,7 @@ class SceneRenderer:
         for drawable in drawn_objects:
             drawable.grow_bounds(bounds)
         character_bounds.join(characters, shift)
-        framed_bounds.join(bounds, shift)
+        framed_bounds.union_with(bounds, shift)
         if (
             not character_bounds.is_empty
             and framed_bounds.radius > MAX_STAGE_RATIO * character_bounds.radius

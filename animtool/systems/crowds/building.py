@@ -157,7 +157,7 @@ def clear_starts(
         is_off_grid = is_blocked(grid, positions)
         nodes = grid.node_positions(grid.nearest_free_node(positions))
         positions = np.where(is_off_grid[:, None], nodes, positions)
-    radius = float(agents.radii.max(initial=1.0))
+    max_radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_CLEARING_PASSES):
         walls = obstacles.walls(begin, 0.0, positions)
         if not (walls.gaps < 0).any() and (positions == agents.start_points).all():
@@ -166,7 +166,10 @@ def clear_starts(
         positions, _ = separate_agents(
             agents, positions, walls.first_walls, walls.half_planes
         )
-        if np.abs(positions - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
+        if (
+            np.abs(positions - previous).max(initial=0.0)
+            <= OVERLAP_TOLERANCE * max_radius
+        ):
             break
     distances = np.linalg.norm(positions - agents.start_points, axis=1)
     is_moved = distances > OVERLAP_TOLERANCE * agents.radii

@@ -65,8 +65,8 @@ class BodyCoupling:
         for attachment in self.attachments:
             carrier = self.carriers[attachment.carrier]
             system = carrier.system.shared
-            is_body = system.dynamic_indices == attachment.body
-            mass = float(carrier.masses[is_body].min(initial=np.inf))
+            is_carrier = system.dynamic_indices == attachment.body
+            mass = float(carrier.masses[is_carrier].min(initial=np.inf))
             masses.append((mass, system.names[attachment.body]))
         mass, name = min(masses)
         return None if mass == np.inf else (name, mass)
