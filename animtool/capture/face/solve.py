@@ -323,7 +323,7 @@ class _FaceSolver:
         return weights, poses, residuals, robust_weights, rounds, change
 
     def _solve_window(self, frames: slice) -> _FitResult:
-        """Solve one window; iterate if in-betweens or correctives are not linear."""
+        """Solve one window; iterate if the face has in-betweens or correctives."""
         threshold = ROBUST_DEVIATIONS * self.noise
         result = self._run_kernel(frames, threshold, self.smooth, MAX_ROUNDS)
         if self.face.nonlinear_shapes is None:

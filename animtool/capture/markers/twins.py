@@ -65,43 +65,43 @@ def distinguish_twins(
         marker_distances(positions), overlap_fraction, rest_distances
     )
     swaps = _drop_unrelated(find_swaps(rest_distances), rest_distances)
-    names = np.arange(len(rest_shape))
+    labels = np.arange(len(rest_shape))
     shape_cache: dict[tuple[int, ...], float] = {}
     doubtful_swaps: list[NameSwap] = []
     doubtful_pairs: list[tuple[int, int]] = []
     for _ in range(MAX_SWAP_ROUNDS):
         single_scores = np.zeros(rest_distances.shape)
-        for marker, name in enumerate(names.tolist()):
-            single_scores += pair_scores[:, marker, :, name]
-        best_names, best_gain = None, MIN_GAIN
+        for marker, label in enumerate(labels.tolist()):
+            single_scores += pair_scores[:, marker, :, label]
+        best_labels, best_gain = None, MIN_GAIN
         doubtful_swaps, doubtful_pairs = [], []
         for old, new in swaps:
-            gains = compute_swap_gains(pair_scores, single_scores, names, old, new)
+            gains = compute_swap_gains(pair_scores, single_scores, labels, old, new)
             for row in np.flatnonzero(gains > -MAX_COUNTER_EVIDENCE).tolist():
                 if old.shape[1] == 2:
-                    a, b = names[old[row]].tolist()
+                    a, b = labels[old[row]].tolist()
                     doubtful_pairs.append((a, b))
-                changed_names = names.copy()
-                changed_names[old[row]] = names[new[row]]
+                changed_labels = labels.copy()
+                changed_labels[old[row]] = labels[new[row]]
                 score = float(gains[row])
                 score += SHAPE_EVIDENCE * _shape_evidence(
                     positions,
                     rest_shape,
                     rest_distances,
                     old[row].tolist(),
-                    names,
-                    changed_names,
+                    labels,
+                    changed_labels,
                     shape_cache,
                 )
                 if score > best_gain:
-                    best_names, best_gain = changed_names, score
+                    best_labels, best_gain = changed_labels, score
                 elif score > MIN_DOUBT_GAIN:
-                    markers = tuple(sorted(names[old[row]].tolist()))
+                    markers = tuple(sorted(labels[old[row]].tolist()))
                     doubtful_swaps.append(NameSwap(markers, min(score, 0.0)))
-        if best_names is None:
+        if best_labels is None:
             break
-        names = best_names
-    return names, doubtful_swaps, doubtful_pairs
+        labels = best_labels
+    return labels, doubtful_swaps, doubtful_pairs
 
 
 def is_swapped(
@@ -111,12 +111,12 @@ def is_swapped(
 
     positions: Positions in these frames, by current names ``(F, M, 3)``.
     """
-    names = np.arange(len(rest_shape))
-    swapped_names = names.copy()
-    swapped_names[list(pair)] = pair[::-1]
+    labels = np.arange(len(rest_shape))
+    swapped_labels = labels.copy()
+    swapped_labels[list(pair)] = pair[::-1]
     rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     shape_evidence = _shape_evidence(
-        positions, rest_shape, rest_distances, list(pair), names, swapped_names, {}
+        positions, rest_shape, rest_distances, list(pair), labels, swapped_labels, {}
     )
     return SHAPE_EVIDENCE * shape_evidence > MIN_SPAN_GAIN
 
@@ -140,12 +140,12 @@ def _shape_evidence(
     rest_shape: FloatArray,
     rest_distances: FloatArray,
     changed_markers: list[int],
-    current_names: IntArray,
-    other_names: IntArray,
+    current_labels: IntArray,
+    other_labels: IntArray,
     cache: dict[tuple[int, ...], float],
 ) -> float:
     """Return the mean log ratio of shape errors, before over after a swap."""
-    distances = rest_distances[current_names[changed_markers]][:, current_names].min(
+    distances = rest_distances[current_labels[changed_markers]][:, current_labels].min(
         axis=0
     )
     distances[changed_markers] = np.inf
@@ -154,10 +154,10 @@ def _shape_evidence(
     for pair in combinations(nearest.tolist(), 2):
         group = [*changed_markers, *pair]
         errors = []
-        for names in (current_names, other_names):
-            key = (*group, *names[group].tolist())
+        for labels in (current_labels, other_labels):
+            key = (*group, *labels[group].tolist())
             if key not in cache:
-                cache[key] = _shape_error(positions, group, rest_shape[names[group]])
+                cache[key] = _shape_error(positions, group, rest_shape[labels[group]])
             errors.append(cache[key])
         if np.isfinite(errors).all():
             ratios.append(np.log((errors[0] + SHAPE_NOISE) / (errors[1] + SHAPE_NOISE)))

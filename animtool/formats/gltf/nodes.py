@@ -133,13 +133,13 @@ def _decompose_matrix(
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR_TOLERANCE:
         diagnostics.fail("GLT010", pointer, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
-    magnitude = float(np.abs(linear).max())
-    if not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12:
+    max_magnitude = float(np.abs(linear).max())
+    if not max_magnitude or abs(np.linalg.det(linear / max_magnitude)) < 1e-12:
         diagnostics.fail("GLT010", pointer, "the matrix is singular")
-    unit_rotation, scale = so3.split_scale(linear[None] / magnitude)
-    rotation, lengths = unit_rotation[0], scale[0] * magnitude
+    unit_rotation, scale = so3.split_scale(linear[None] / max_magnitude)
+    rotation, lengths = unit_rotation[0], scale[0] * max_magnitude
     rigid_linear = so3.to_matrix(rotation) * lengths
-    shear = float(np.abs(rigid_linear - linear).max()) / magnitude
+    shear = float(np.abs(rigid_linear - linear).max()) / max_magnitude
     if shear > SHEAR_TOLERANCE:
         message = f"the shear of the matrix, {shear:.3g} of its size, is ignored"
         diagnostics.warn("GLT103", pointer, message)

@@ -189,19 +189,19 @@ def _goal_obstacle(
     Nodes deep inside a low obstacle count as free, since the nearest face is its top.
     """
     depths = obstacles.collider_depths(t, position)
-    depth = float(depths.max(initial=-np.inf))
-    if depth > 0:
+    max_depth = float(depths.max(initial=-np.inf))
+    if max_depth > 0:
         name = obstacles.colliders.label(int(depths.argmax()))
-        problem = f"inside the collider {name}, {length_text(depth, 2)} deep"
+        problem = f"inside the collider {name}, {length_text(max_depth, 2)} deep"
         return problem, "move the goal or the collider"
     if not is_blocked(grid, position)[0]:
         return None
-    radius = float(obstacles.agents.radii.max(initial=0.0))
-    if -depth > radius:
+    max_radius = float(obstacles.agents.radii.max(initial=0.0))
+    if -max_depth > max_radius:
         return "off the ground, or on a slope that is too steep", "move the goal"
     name = obstacles.colliders.label(int(depths.argmax()))
-    problem = f"{length_text(-depth, 2)} from the collider {name}, nearer than the "
-    return f"{problem}radius of agents, {length_text(radius)}", "move the goal"
+    problem = f"{length_text(-max_depth, 2)} from the collider {name}, nearer than the "
+    return f"{problem}radius of agents, {length_text(max_radius)}", "move the goal"
 
 
 def _nearest_reachable(

@@ -261,8 +261,8 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     """Return as text how far and when skinned points exceed a SkelRoot's extents."""
     overhang = find_overhang(root, extents, times.tolist())
     # Overhangs within rounding do not count, as in `bounds_difference`.
-    magnitude = float(np.abs(extents).max(initial=0.0))
-    if overhang is None or overhang[0] <= 1e-6 * (1 + magnitude):
+    max_magnitude = float(np.abs(extents).max(initial=0.0))
+    if overhang is None or overhang[0] <= 1e-6 * (1 + max_magnitude):
         return "; no skinned point exceeds it"
     largest_distance, code, has_same_joints = overhang
     time_text = "" if np.isnan(code) else f" at time code {frame_label(code)}"
