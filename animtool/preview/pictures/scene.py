@@ -161,7 +161,7 @@ class SceneRenderer:
         drawn_objects = [*self._instances, *self._points, *self._strands]
         for drawable in drawn_objects:
             drawable.grow_bounds(bounds)
-        character_bounds.join(characters, shift)
+        character_bounds.union_with(characters, shift)
         framed_bounds.union_with(bounds, shift)
         if (
             not character_bounds.is_empty
