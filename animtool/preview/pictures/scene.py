@@ -156,7 +156,7 @@ class SceneRenderer:
                 characters.add(pose.positions)
         for mesh in self._meshes:
             mesh.grow_bounds(characters if mesh.is_skinned else bounds)
-        bounds.join(characters)
+        bounds.union_with(characters)
         drawn_objects: list[InstanceRenderer | PointRenderer | StrandRenderer]
         drawn_objects = [*self._instances, *self._points, *self._strands]
         for drawable in drawn_objects:
