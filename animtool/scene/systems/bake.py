@@ -67,7 +67,7 @@ class SystemPrims:
     # Time codes to write, ascending; empty uses the take's.
     codes: tuple[Fraction, ...] = ()
     recorder: CharacterRecorder | None = None  # records the take
-    # PlacementAt of a layer; None is the identity.
+    # Placement of a layer at time codes; None is the identity.
     placement_at: PlacementAt | None = None
 
     def seconds(self, time_code: Fraction) -> float:
