@@ -152,13 +152,13 @@ class Command(click.Command):
         shown_options = common_options(self.name or "") or [
             word for word in records if _GROUP_BY_OPTION.get(word) != "Report"
         ]
-        first_sentences = [
+        option_rows = [
             (records[word][0], _first_sentence(records[word][1]))
             for word in shown_options
             if word in records
         ]
-        if first_sentences:
-            _write_section(formatter, "Options", first_sentences)
+        if option_rows:
+            _write_section(formatter, "Options", option_rows)
         help_lines = formatter.getvalue().rstrip().splitlines()
         last_line = f"{ctx.command_path} --help shows all {len(records)} options."
         examples = (self.epilog or "").replace("\b", "").strip().splitlines()

@@ -145,9 +145,9 @@ def _outlier_markers(markers: Sequence[MarkerScore]) -> list[str]:
 def _swapped_markers(solve: MarkerSolve) -> list[str]:
     frames = solve.markers.clock.times
     return [
-        f"{exchange.marker} is {exchange.label} in {frames[exchange.first]:g} to "
-        f"{frames[exchange.last]:g}"
-        for exchange in solve.score.exchanged
+        f"{swap.marker} is {swap.label} in {frames[swap.first]:g} to "
+        f"{frames[swap.last]:g}"
+        for swap in solve.score.swapped
     ]
 
 

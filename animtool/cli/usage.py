@@ -131,8 +131,8 @@ def _missing_text(error: click.MissingParameter, context: click.Context) -> str:
         text += f": {re.split('[.;(] | [(]', param.help)[0].rstrip('.')}"
     lines = (context.command.epilog or "").splitlines()
     example = next((line.strip() for line in lines if "animtool " in line), None)
-    if isinstance(param, click.Argument) and (exchanged := _option_with_file(context)):
-        flag, file = exchanged
+    if isinstance(param, click.Argument) and (swapped := _option_with_file(context)):
+        flag, file = swapped
         return f"{text}; {flag} has the file {file}: give {flag} its own value"
     return f"{text}; for example {example}" if example else text
 
@@ -164,11 +164,11 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
         return fault
     if _NUMBER.fullmatch(fault.path):
         return replace(fault, hint=_number_hint(context) or fault.hint)
-    exchanged_option = _option_with_file(context)
-    if exchanged_option is not None and not Path(fault.path).exists():
-        flag, file = exchanged_option
+    swapped_option = _option_with_file(context)
+    if swapped_option is not None and not Path(fault.path).exists():
+        flag, file = swapped_option
         message = f"{fault.message}, and {flag} is the file {file}"
-        command = _exchanged_command(context, fault.path, file)
+        command = _swapped_command(context, fault.path, file)
         return replace(fault, message=message, hint=f"write {command}")
     for option in _command_options(context.command):
         value = context.params.get(str(option.name))
@@ -190,8 +190,8 @@ def _option_with_file(context: click.Context) -> tuple[str, str] | None:
     return None
 
 
-def _exchanged_command(context: click.Context, first: str, second: str) -> str:
-    """Return the command line with two of its words exchanged."""
+def _swapped_command(context: click.Context, first: str, second: str) -> str:
+    """Return the command line with two of its words swapped."""
     other = {first: second, second: first}
     words = []
     for word in context.meta.get(ARGUMENTS_KEY, ()):

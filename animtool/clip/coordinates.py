@@ -263,15 +263,15 @@ class _KeyedJoint:
     fitted_values: Mapping[str, FloatArray]
     tolerances: Tolerances
 
-    def driven_values(self, part: str, *, is_fitted: bool = False) -> FloatArray:
+    def driven_values(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a part ``(F or 1,)``."""
-        source = self.fitted_values if is_fitted else self.control_values
+        source = self.fitted_values if use_fitted else self.control_values
         return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
-    def driven_vectors(self, part: str, *, is_fitted: bool = False) -> FloatArray:
+    def driven_vectors(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
         parts = [f"{part}.{axis}" for axis in "xyz"]
-        columns = [self.driven_values(p, is_fitted=is_fitted) for p in parts]
+        columns = [self.driven_values(p, use_fitted=use_fitted) for p in parts]
         return np.stack(np.broadcast_arrays(*columns), axis=-1)
 
     def key_tracks(self, expected_coordinates: FloatArray) -> Iterator[KeyTrack]:
@@ -301,7 +301,7 @@ class _KeyedJoint:
         elif joint.type is JointType.PRISMATIC:
             difference = motion.coordinate - expected_coordinates
             if self._needs_keys(difference, tolerances.length, is_at_rest):
-                driven_part = self.driven_values("slide", is_fitted=True)
+                driven_part = self.driven_values("slide", use_fitted=True)
                 driven_vector = driven_part[:, None] * np.array(joint.axis)
                 yield self._key_track(
                     ChannelKind.TRANSLATION,
@@ -312,7 +312,7 @@ class _KeyedJoint:
         elif joint.type is JointType.FREE:
             difference = motion.translation - self.driven_vectors("translation")
             if self._needs_keys(difference, tolerances.length, is_at_rest):
-                driven_part = self.driven_vectors("translation", is_fitted=True)
+                driven_part = self.driven_vectors("translation", use_fitted=True)
                 yield self._key_track(
                     ChannelKind.TRANSLATION,
                     "translation",
@@ -332,7 +332,7 @@ class _KeyedJoint:
         elif joint.type is JointType.PIN:
             difference = _wrap_angles(motion.coordinate - expected_coordinates)
             if self._needs_keys(difference, tolerances.angle, is_at_rest):
-                driven_part = self.driven_values("angle", is_fitted=True)
+                driven_part = self.driven_values("angle", use_fitted=True)
                 driven_rotation = so3.from_axis_angle(joint.axis, driven_part)
                 yield self._key_track(
                     ChannelKind.ROTATION,
@@ -344,7 +344,7 @@ class _KeyedJoint:
             driven_rotation = so3.exp(self.driven_vectors("rotation"))
             difference = so3.angle_between(driven_rotation, motion.rotation)
             if self._needs_keys(difference, tolerances.angle, is_at_rest):
-                driven_part = so3.exp(self.driven_vectors("rotation", is_fitted=True))
+                driven_part = so3.exp(self.driven_vectors("rotation", use_fitted=True))
                 inverse_driven_part = so3.conjugate(driven_part)
                 keyed_rotation = so3.multiply(inverse_driven_part, motion.rotation)
                 aligned_rotation = so3.align_signs(keyed_rotation)

@@ -168,7 +168,7 @@ class Axis(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class MirrorOptions:
-    """The mirror plane, and the joints it exchanges.
+    """The mirror plane, and the joints it swaps.
 
     Attributes:
         axis: Normal of the mirror plane.

@@ -108,11 +108,11 @@ def _drop_alternate(
     fewer_samples = np.delete(kept_samples, dropped_positions)
     first = kept_samples[dropped_positions[0] - 1]
     end = kept_samples[dropped_positions[-1] + 1]
-    frames = np.setdiff1d(np.arange(first, end), fewer_samples)
-    ratios = error_meter.error_ratios(fewer_samples, frames)
+    omitted_frames = np.setdiff1d(np.arange(first, end), fewer_samples)
+    ratios = error_meter.error_ratios(fewer_samples, omitted_frames)
     # Every interval of the trial contains one frame: the sample that it drops.
     starts = kept_samples[dropped_positions - 1]
-    interval_indices = np.searchsorted(starts, frames, side="right") - 1
+    interval_indices = np.searchsorted(starts, omitted_frames, side="right") - 1
     worst_ratios = np.zeros(len(dropped_positions))
     np.maximum.at(worst_ratios, interval_indices, ratios)
     return np.delete(kept_samples, dropped_positions[worst_ratios <= 1])

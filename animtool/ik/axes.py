@@ -20,7 +20,7 @@ from animtool.rig.skeleton import Rig
 MAX_DISTANCE = 1e6
 # A target in the unit that is meant may still be missed by a little, in limb lengths.
 MAX_REACH_RATIO = 1.5
-# If targets of left and right are exchanged, limbs cross by this part of the distance
+# If targets of left and right are swapped, limbs cross by this part of the distance
 # of their roots, and a joint is on its limit in this fraction of frames [1].
 MIN_CROSSING_FRACTION, MIN_LIMIT_FRACTION = 0.5, 0.5
 
@@ -132,7 +132,7 @@ def pole_hint(
 
 
 def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
-    """Return pairs of a left and a right goal whose targets seem to be exchanged.
+    """Return pairs of a left and a right goal whose targets seem to be swapped.
 
     In all frames of both, the limbs cross by `MIN_CROSSING_FRACTION` or more, and in
     most of them a joint of theirs is on its limit.

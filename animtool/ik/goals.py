@@ -295,7 +295,7 @@ def root_problem(rig: Rig, root: str, joint: str, form: str) -> tuple[str, str]:
         rig: Has both joints.
         root: Name of the goal's root.
         joint: Name of the goal's joint.
-        form: Hint for exchanged names, with both as ``{joint!r}`` and ``{root!r}``.
+        form: Hint for swapped names, with both as ``{joint!r}`` and ``{root!r}``.
     """
     if rig.index(joint) in rig.upwards(rig.index(root)):
         message = f"{root!r} is below {joint!r}: the two are exchanged"

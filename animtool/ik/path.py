@@ -162,7 +162,10 @@ class FramePath:
 def build_frame_path(
     problem: Problem, targets: Targets, start: ArrayLike | None, options: IkOptions
 ) -> FramePath:
-    """Build the path of a problem; the motion of a start ``(F, Q)`` is preserved."""
+    """Build the frame path of a problem.
+
+    A start with a pose per frame ``(F, Q)`` keeps its motion.
+    """
     packed_targets = pack_for_chain(problem, targets)
     preserved_steps = np.zeros((max(len(packed_targets) - 1, 0), problem.degrees))
     if start is not None and np.ndim(start) == 2:

@@ -375,9 +375,11 @@ def _jump_hint(solved_take: TakeIk, worst_jump: Jump) -> str:
     smoothing = solved_take.steadier
     if smoothing is not None:
         remaining_text = "leaves no jump"
-        if smoothing.angle > 0:
+        if smoothing.max_jump > 0:
             remaining_text = "leaves rotations of "
-            remaining_text += f"{angle_text(math.degrees(smoothing.angle), 3)} at most"
+            remaining_text += (
+                f"{angle_text(math.degrees(smoothing.max_jump), 3)} at most"
+            )
         return f"{argument('smooth', f'{smoothing.seconds:g}')} {remaining_text}"
     track = _fading_goal(solved_take, worst_jump)
     if track is not None:

@@ -152,11 +152,11 @@ class Smoothing:
 
     Attributes:
         seconds: Smoothing time, as in ``TakeOptions.smooth`` [s].
-        angle: Largest remaining jump [rad]; 0 if no jump remains.
+        max_jump: Largest remaining jump [rad]; 0 if no jump remains.
     """
 
     seconds: float
-    angle: float
+    max_jump: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -324,9 +324,11 @@ class TakeSolver:
                 result, targets, seconds, fps=self.rate, start=start, options=options
             )
             jumps = find_clip_jumps(smoothed_result, targets, start, self.rate)
-            angle = max((jump.size for jump in jumps if not jump.slides), default=0.0)
-            if angle < MIN_REDUCTION * best_smoothing.angle:
-                best_smoothing = Smoothing(seconds, angle)
+            max_jump = max(
+                (jump.size for jump in jumps if not jump.slides), default=0.0
+            )
+            if max_jump < MIN_REDUCTION * best_smoothing.max_jump:
+                best_smoothing = Smoothing(seconds, max_jump)
         return best_smoothing if best_smoothing.seconds > 0 else None
 
     def _build_problem(self, span: SolveSpan, goals: Sequence[Goal]) -> Problem:

@@ -211,8 +211,8 @@ def adjacent_maximum(values: FloatArray) -> FloatArray:
 
     ``values`` ``(S, N)``.
     """
-    rows = np.pad(values, ((2, 2), (0, 0)))
-    pairs = _neighbour_pairs(rows)
+    padded_values = np.pad(values, ((2, 2), (0, 0)))
+    pairs = _neighbour_pairs(padded_values)
     return np.asarray(np.min([np.maximum(a, b) for a, b in pairs], axis=0))
 
 
@@ -224,15 +224,20 @@ def velocity_changes(steps: FloatArray) -> FloatArray:
 
     ``steps`` ``(S, N, 3)``.
     """
-    rows = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
-    pairs = _neighbour_pairs(rows)
+    padded_steps = np.pad(steps, ((2, 2), (0, 0), (0, 0)), mode="edge")
+    pairs = _neighbour_pairs(padded_steps)
     return np.asarray(np.min([np.linalg.norm(b - a, axis=2) for a, b in pairs], axis=0))
 
 
-def _neighbour_pairs(rows: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
+def _neighbour_pairs(padded_rows: FloatArray) -> list[tuple[FloatArray, FloatArray]]:
     """Return pairs of rows before and after each row, with at most one row skipped.
 
-    ``rows``: padded by two at each end.
+    ``padded_rows``: padded by two at each end.
     """
-    before2, before, after, after2 = rows[:-4], rows[1:-3], rows[3:-1], rows[4:]
+    before2, before, after, after2 = (
+        padded_rows[:-4],
+        padded_rows[1:-3],
+        padded_rows[3:-1],
+        padded_rows[4:],
+    )
     return [(before, after), (before, after2), (before2, after)]

@@ -90,7 +90,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
     )
     common_names = [name for name in source_a.names if name in source_b.names]
     largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
-    sample_count, size = 0, 0.0
+    sample_count, max_size = 0, 0.0
     for name in common_names:
         time_codes = source_a.codes(name), source_b.codes(name)
         prim_types = source_a.prim_type(name), source_b.prim_type(name)
@@ -103,7 +103,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             mismatches.append(message + f"{len(time_codes[1])}{ranges[1]}")
         for code, *samples in _sample_pairs(source_a, source_b, name, time_codes):
             sample_count += 1
-            size = max(size, *map(_bounds_diagonal, samples))
+            max_size = max(max_size, *map(_bounds_diagonal, samples))
             mismatch = _point_mismatch(*samples)
             if mismatch:
                 mismatches.append(f"{name} at time code {code:g}: {mismatch}")
@@ -126,7 +126,7 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
             *space_notes((source_a.up, source_b.up), (source_a.unit, source_b.unit)),
             *_start_notes(source_a, source_b, common_names),
         ],
-        size=size,
+        size=max_size,
     )
 
 

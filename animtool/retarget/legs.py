@@ -142,9 +142,13 @@ def _leg_reach(
     # The squared distance varies with the cosine of the angle about that of its
     # maximum.
     pin_axis = np.array(joint.axis, np.float64)
-    bone = so3.rotate(so3.conjugate(rest_rotation), thigh_bone)
-    cosine = bone @ shin_bone - (bone @ pin_axis) * (shin_bone @ pin_axis)
-    straight_angle = np.arctan2(bone @ np.cross(pin_axis, shin_bone), cosine)
+    local_thigh_bone = so3.rotate(so3.conjugate(rest_rotation), thigh_bone)
+    cosine = local_thigh_bone @ shin_bone - (local_thigh_bone @ pin_axis) * (
+        shin_bone @ pin_axis
+    )
+    straight_angle = np.arctan2(
+        local_thigh_bone @ np.cross(pin_axis, shin_bone), cosine
+    )
     extreme_angles = straight_angle + np.pi * np.arange(-4, 5)
     angles = np.append(
         extreme_angles[(extreme_angles > lower_limit) & (extreme_angles < upper_limit)],

@@ -50,10 +50,12 @@ class _Leg:
     def rotations(self, hips: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return rotations of thigh and shin that bring the ankle to its goal."""
         tracks = self.tracks
-        relative_joints = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
-        joints = hips[:, None] + relative_joints
+        relative_positions = np.stack([tracks.hip, tracks.knee, tracks.ankle], axis=1)
+        joint_positions = hips[:, None] + relative_positions
         bones = tracks.rotations[:, 1], tracks.rotations[:, 2]
-        return ankle_rotations(self.target, self.side, joints, self.ankle_goal, bones)
+        return ankle_rotations(
+            self.target, self.side, joint_positions, self.ankle_goal, bones
+        )
 
     def solve_swivel(self, hips: FloatArray, fps: float) -> FloatArray:
         """Return the knee swivel that respects the leg's limits ``(F,)`` [rad].
@@ -94,14 +96,14 @@ class _Leg:
         inverse_parent = so3.conjugate(self.tracks.rotations[frames, 0])
         squared_violation = np.zeros(len(frames))
         inverse_shin = so3.conjugate(shin_rotation)
-        for joint, local in (
+        for joint, local_rotation in (
             (thigh, so3.multiply(inverse_parent, thigh_rotation)),
             (foot, so3.multiply(inverse_shin, self.foot_rotations[frames])),
         ):
             limit = rig.joints[joint].limits
             if isinstance(limit, BallLimit):
                 inverse_rest = so3.conjugate(rig.rest_rotations[joint])
-                excess = limit.excess(so3.multiply(inverse_rest, local))
+                excess = limit.excess(so3.multiply(inverse_rest, local_rotation))
                 squared_violation += excess**2
         return squared_violation
 
@@ -122,9 +124,11 @@ class _Leg:
         parent_rotation = self.tracks.rotations[:, 0]
         rest_rotation = rig.rest_rotations[thigh]
         rest_world_rotation = so3.multiply(parent_rotation, rest_rotation)
-        local = so3.multiply(so3.conjugate(rest_world_rotation), thigh_rotation)
-        clamped_local = so3.multiply(rest_rotation, limit.clamped(local))
-        clamped_thigh = so3.multiply(parent_rotation, clamped_local)
+        relative_rotation = so3.multiply(
+            so3.conjugate(rest_world_rotation), thigh_rotation
+        )
+        clamped_rotation = so3.multiply(rest_rotation, limit.clamped(relative_rotation))
+        clamped_thigh = so3.multiply(parent_rotation, clamped_rotation)
         # The knee keeps its bend.
         bend = so3.multiply(so3.conjugate(thigh_rotation), shin_rotation)
         shin_rotation = so3.multiply(clamped_thigh, bend)

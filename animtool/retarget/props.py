@@ -45,11 +45,11 @@ class PropMotion:
         """
         if len(wrist) < 3 or arm <= 0:
             return np.zeros(len(wrist), np.bool_)
-        local = self.in_prop_frame(wrist)
-        smooth_local = gaussian_smooth(local, SMOOTHING_SECONDS * fps)
-        speed = np.gradient(smooth_local, axis=0) * fps
+        relative_path = self.in_prop_frame(wrist)
+        smooth_path = gaussian_smooth(relative_path, SMOOTHING_SECONDS * fps)
+        speed = np.gradient(smooth_path, axis=0) * fps
         is_steady = np.linalg.norm(speed, axis=1) < GRIP_SPEED * arm
-        is_near = np.linalg.norm(local, axis=1) < GRIP_DISTANCE * arm
+        is_near = np.linalg.norm(relative_path, axis=1) < GRIP_DISTANCE * arm
         is_gripped = remove_short_runs(is_steady & is_near, fps)
         for start, end in runs(is_gripped):
             if np.ptp(self.positions[start:end], axis=0).max() < MIN_PROP_MOTION * arm:

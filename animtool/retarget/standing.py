@@ -378,11 +378,11 @@ def with_source_warnings(
                 if codes.isdisjoint({"USD126", "RIG217"}):
                     unit_notices = unit_warnings(stream.rig, file_format)
                     add_notices(replace(n, path=str(path)) for n in unit_notices)
-            # A root whose channels are exchanged has no orientation to check.
-            is_exchanged = any(notice.code == "BVH115" for notice in stream.notices)
-            if i == 0 and not is_stated and not is_exchanged:
+            # A root whose channels are swapped has no orientation to check.
+            is_swapped = any(notice.code == "BVH115" for notice in stream.notices)
+            if i == 0 and not is_stated and not is_swapped:
                 add_notices(lying_body_notices(path, stream.rig, block, severity, up))
-            if i == 0 and file_format != "markers" and not is_exchanged:
+            if i == 0 and file_format != "markers" and not is_swapped:
                 known_codes = {notice.code for notice in stream.notices}
                 for problem in (
                     root_warning(stream.rig, block, float(1 / rate)),

@@ -98,7 +98,7 @@ def find_swapped_legs(
 
 
 def swapped_legs_warning(rig: Rig, motion: Motion) -> Fault | None:
-    """Return a warning if the legs of a block of frames have exchanged names (MOT210).
+    """Return a warning if the legs of a block of frames have swapped names (MOT210).
 
     Long blocks are sampled.
     """

@@ -199,8 +199,8 @@ def retarget_stream(
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
     stance_axis = find_standing_axis(source, first_block, joint_map.source.roles)
-    is_exchanged = any(notice.code == "BVH115" for notice in stream.notices)
-    if is_exchanged:
+    is_swapped = any(notice.code == "BVH115" for notice in stream.notices)
+    if is_swapped:
         stance_axis = None
     if stance_axis is not None and stream.details.get("up_choice") == "stated":
         stated_option = argument("source.up", source.up)
@@ -224,7 +224,7 @@ def retarget_stream(
     known_codes = {notice.code for notice in (*notices, *stream.notices)}
     notices += [
         notice
-        for notice in (() if is_exchanged else _source_warnings(stream, first_block))
+        for notice in (() if is_swapped else _source_warnings(stream, first_block))
         if notice.code not in known_codes
     ]
     retargeting = Retargeting(

@@ -54,12 +54,12 @@ class Placement:
     @cached_property
     def is_identity(self) -> bool:
         """Whether the placement moves nothing in any frame, up to rounding."""
-        distance = np.abs(self.translations).max(initial=0.0)
+        max_distance = np.abs(self.translations).max(initial=0.0)
         rotation_error = 1.0 - np.abs(self.rotations[:, 3]).min(initial=1.0)
         scale_error = np.abs(self.sizes - 1.0).max(initial=0.0)
         # For a small angle, w differs from 1 by an eighth of its square.
         return bool(
-            distance <= IDENTITY_TOLERANCE
+            max_distance <= IDENTITY_TOLERANCE
             and rotation_error <= IDENTITY_TOLERANCE**2
             and scale_error <= IDENTITY_TOLERANCE
         )

@@ -84,9 +84,9 @@ def warn_of_angles(
     if not suspicious_limits:
         return
     largest_limit = max(suspicious_limits, key=lambda limit: limit.largest_value)
-    names = {limit.joint for limit in suspicious_limits}
+    joint_names = {limit.joint for limit in suspicious_limits}
     message = (
-        f"the limits of {counted(len(names), 'joint')} look like "
+        f"the limits of {counted(len(joint_names), 'joint')} look like "
         f"{ANGLE_NAMES[intended_unit]}, but "
         f"units.angle is {angle_unit}: {largest_limit.joint!r} has "
         f"{largest_limit.values_text()}"

@@ -119,8 +119,8 @@ def _find_root(
         point, residuals = _line_search(residual, point, residuals, correction)
         if not np.isfinite(residuals).all():
             return None
-        magnitude = max(float(np.abs(point).max(initial=0.0)), min_size)
-        tolerance = CONVERGED_CORRECTION * magnitude + 1e-300
+        max_magnitude = max(float(np.abs(point).max(initial=0.0)), min_size)
+        tolerance = CONVERGED_CORRECTION * max_magnitude + 1e-300
         if float(np.abs(correction).max(initial=0.0)) <= tolerance:
             return point
     return None

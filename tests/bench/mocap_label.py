@@ -111,7 +111,7 @@ def errors(whole, known, truth) -> dict[str, float]:
 
 
 def swaps(report, known, markers) -> float:
-    """Return the lesser of precision and recall of frames with exchanged names."""
+    """Return the lesser of precision and recall of frames with swapped names."""
     found, truth = (np.zeros((len(markers), len(markers.names)), bool) for _ in "ab")
     for swap in report.swaps:
         columns = [markers.names.index(name) for name in swap.markers]

@@ -1,7 +1,7 @@
 """How fast markers are solved, and how far off they are, beside OpenSim's IK tool.
 
 Both get the same skeleton and the same markers: the clouds as observed, and without
-what is wrong in them (spikes, exchanged labels), as OpenSim's tool takes every marker
+what is wrong in them (spikes, swapped labels), as OpenSim's tool takes every marker
 for right. See README.md beside this file.
 """
 

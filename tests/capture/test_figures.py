@@ -385,7 +385,7 @@ def test_where_markers_are_in_gaps_by_what_moves_with_them() -> None:
 
 
 def swapped() -> np.ndarray:
-    """Return positions of which some are exchanged, lost, off, and begin late."""
+    """Return positions of which some are swapped, lost, off, and begin late."""
     positions = paths(4e-4)[:140]
     positions[:6, 5] = positions[60:72, 2] = positions[100:103, 8] = np.nan
     positions[30:55, [2, 6]] = positions[30:55, [6, 2]]

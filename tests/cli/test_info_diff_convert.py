@@ -319,7 +319,7 @@ def test_every_command_warns_of_a_rate_of_the_source(
     assert "TAKE009" not in animtool(*arguments, "--source-fps", 60).stderr
 
 
-def test_a_file_as_the_name_of_a_take_is_exchanged(tmp_path: Path) -> None:
+def test_a_file_as_the_name_of_a_take_is_swapped(tmp_path: Path) -> None:
     (tmp_path / "fox.glb").touch()
     for command, more in (("info", []), ("bake", ["-o", "a.usdc"])):
         for words in (["--take", "fox.glb", "trot"], ["--take=fox.glb", "trot"]):

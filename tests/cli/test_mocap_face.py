@@ -86,7 +86,7 @@ def test_mirrored_landmarks_are_named(
     assert hint == "negate x of the landmarks"
 
 
-def test_names_of_sides_may_be_exchanged(tmp_path: Path, landmarks: Path) -> None:
+def test_names_of_sides_may_be_swapped(tmp_path: Path, landmarks: Path) -> None:
     arrays = dict(np.load(landmarks))
     arrays["landmarks_mm"] = arrays["landmarks_mm"] * [-1, 1, 1]
     names = arrays["landmark_names"].astype("U9")

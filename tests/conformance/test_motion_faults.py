@@ -15,8 +15,8 @@ from support.planted_takes import (
     edited,
     held,
     repeated,
-    sides_exchanged,
     sides_renamed,
+    sides_swapped,
     step,
     travel,
     turned,
@@ -67,7 +67,7 @@ CASES: dict[str, tuple[Plant, str, float]] = {
     "1.5 times as far": (whole(travel(1.5)), "MOT208", 0.2),
     "sunk by a tenth": (whole(eased(-0.1, 1, 0.3, 0.6)), "MOT209", 0.2),
     "names swapped": (whole(sides_renamed), "MOT210", 0.5),
-    "sides exchanged": (whole(sides_exchanged(0.5)), "MOT210", 0.4),
+    "sides exchanged": (whole(sides_swapped(0.5)), "MOT210", 0.4),
 }
 
 

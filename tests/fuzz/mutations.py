@@ -100,7 +100,7 @@ def _cut(rng: np.random.Generator, data: bytearray) -> None:
 
 
 def _line(rng: np.random.Generator, data: bytearray) -> None:
-    """Remove, repeat or exchange whole lines."""
+    """Remove, repeat or swap whole lines."""
     lines = bytes(data).splitlines(keepends=True)
     if len(lines) > 1:
         a, b = rng.integers(len(lines), size=2)

@@ -167,7 +167,7 @@ def test_targets_of_a_take() -> None:
 
 
 def test_a_clip_is_fitted_from_far_starts() -> None:
-    """Frame after frame is looked for; two targets are exchanged, some are wild."""
+    """Frame after frame is looked for; two targets are swapped, some are wild."""
     rig = arm(5, 1.2)
     goals = [Goal("b4", (0.4, 0.1, 0.0)), Goal("b2", (0.3, 0.0, 0.1)), Goal("b3")]
     problem = build(rig, goals)

@@ -17,7 +17,7 @@ RIG = SAMPLES.parent / "rigs/biped/biped.rig.yaml"
 
 @pytest.fixture
 def swapped(tmp_path: Path) -> Path:
-    """Return a walk whose legs have exchanged names."""
+    """Return a walk whose legs have swapped names."""
     text = (SAMPLES / "walk/walk.bvh").read_text()
     for part in ("UpLeg", "Leg", "Foot", "Toe"):
         text = text.replace(f"JOINT Left{part}\n", f"JOINT Other{part}\n")
@@ -28,7 +28,7 @@ def swapped(tmp_path: Path) -> Path:
     return path
 
 
-def test_legs_that_are_exchanged(swapped: Path) -> None:
+def test_legs_that_are_swapped(swapped: Path) -> None:
     for path, code in ((swapped, "MOT210"), (SAMPLES / "walk/walk.bvh", None)):
         take = open_source(path).collect()
         found = swapped_legs_warning(take.rig, take.motion)

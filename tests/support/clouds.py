@@ -581,7 +581,7 @@ def _planted(
         span = slice(start, start + length)
         bare[span, both] = bare[span, both[::-1]]
         swaps.append({"a": a, "b": b, "start": start, "end": start + length})
-    # A spike goes along with the points that are exchanged.
+    # A spike goes along with the points that are swapped.
     for spike in spikes:
         for swap in swaps:
             if spike["marker"] in (swap["a"], swap["b"]) and (

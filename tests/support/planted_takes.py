@@ -166,8 +166,8 @@ def repeated(every: int) -> Edit:
     return edit
 
 
-def sides_exchanged(first: float, last: float = 1.0, only: str = "") -> Edit:
-    """Exchange the channels of left and right joints in part of the take."""
+def sides_swapped(first: float, last: float = 1.0, only: str = "") -> Edit:
+    """Swap the channels of left and right joints in part of the take."""
 
     def edit(take: Take) -> Take:
         turns = take.motion.rotations.dense()
@@ -404,9 +404,9 @@ TAKES = [
     Planted("names of left and right swapped", "walk", sides_renamed, "MOT210"),
     Planted("names of a biped swapped", "stride", sides_renamed, "MOT210"),
     Planted("mirrored without the names", "walk", mirrored, "MOT210"),
-    Planted("sides exchanged from the middle on", "walk", sides_exchanged(0.5),
+    Planted("sides exchanged from the middle on", "walk", sides_swapped(0.5),
             "MOT210", _JUMPS | _FEET),
-    Planted("legs exchanged for a while", "walk", sides_exchanged(0.45, 0.7, "leg"),
+    Planted("legs exchanged for a while", "walk", sides_swapped(0.45, 0.7, "leg"),
             "MOT210", _JUMPS | _FEET),
     Planted("an arm without motion", "walk", dead("LeftArm"), "MOT211"),
     Planted("a leg without motion", "walk", dead("RightUpLeg", "RightLeg"), "MOT211",

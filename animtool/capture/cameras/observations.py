@@ -89,7 +89,7 @@ def pixels_in_other_conventions(
 ) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
     """Yield name, remedy and stored pixels of each convention that a file may have.
 
-    They are exchanged coordinates and, if image sizes are known, v from the bottom.
+    They are swapped coordinates and, if image sizes are known, v from the bottom.
     """
     stored = observations.stored
     yield "[v, u]", "exchange them", np.ascontiguousarray(stored[..., ::-1])

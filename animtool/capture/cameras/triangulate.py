@@ -344,7 +344,7 @@ class _TriangulationRun:
         return tuple(find_disagreements(self.counts.tallies, camera, noise, is_active))
 
     def _with_pose_change(self, camera: int, shift: PoseShift) -> PoseShift:
-        """Return the range with `PoseShift.change`: the pose that fits there best."""
+        """Return the shift with the pose change that best fits its frames."""
         step = max(1, (shift.end - shift.first) // _POSE_CHANGE_FRAMES)
         pixels = self.observations.pixels(shift.first, shift.end, step)[:, camera]
         points = self.positions[shift.first : shift.end : step]

@@ -73,7 +73,7 @@ class FaceModel:
         return rms_spread(self.neutral)
 
     def nonlinear_offsets(self, weights: FloatArray) -> FloatArray:
-        """Return offsets by in-betweens and correctives alone ``(F, N, 3)`` [m].
+        """Return the offsets due to in-betweens and correctives only ``(F, N, 3)`` [m].
 
         They are the total displacement minus the linear sum of deltas.
         """

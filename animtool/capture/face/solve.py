@@ -66,9 +66,9 @@ MAX_ROUNDS = 30
 # Rounds for in-betweens and correctives.
 MAX_NONLINEAR_ROUNDS = 6
 NONLINEAR_CONVERGED_CHANGE = 1e-4
-# Maximum distance of an exchanged landmark from the neutral position of the other, over
+# Maximum distance of a swapped landmark from the neutral position of the other, over
 # the distance of their neutral positions [1].
-EXCHANGE_DISTANCE = 0.25
+SWAP_DISTANCE = 0.25
 # Largest size ratio between capture and face: beyond, their units differ.
 MAX_SIZE_RATIO = 3.0
 MAX_LISTED_FRAMES = 12
@@ -323,7 +323,7 @@ class _FaceSolver:
         return weights, poses, residuals, robust_weights, rounds, change
 
     def _solve_window(self, frames: slice) -> _FitResult:
-        """Solve one window; iterate if in-betweens or correctives are not linear."""
+        """Solve one window; iterate if the face has in-betweens or correctives."""
         threshold = ROBUST_DEVIATIONS * self.noise
         result = self._run_kernel(frames, threshold, self.smooth, MAX_ROUNDS)
         if self.face.nonlinear_shapes is None:
@@ -379,15 +379,15 @@ def _notices(
             fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
             notices.append(fault)
     if head_points is not None and is_misplaced.any():
-        hint = _exchange_hint(model, head_points[is_usable], is_misplaced)
+        hint = _swap_hint(model, head_points[is_usable], is_misplaced)
         notices[-1] = replace(notices[-1], hint=hint)
     return notices
 
 
-def _exchange_hint(
+def _swap_hint(
     model: FaceModel, head_points: FloatArray, is_misplaced: BoolArray
 ) -> str | None:
-    """Return a hint to exchange misplaced landmarks that are at each other's position.
+    """Return a hint to swap misplaced landmarks that are at each other's position.
 
     ``head_points`` ``(F, N, 3)`` are the observed landmarks in the frame of the head.
     """
@@ -403,6 +403,6 @@ def _exchange_hint(
         for i, j in enumerate(nearest.tolist())
         if i < j
         and nearest[j] == i
-        and max(distances[i, j], distances[j, i]) < EXCHANGE_DISTANCE * spacing[i, j]
+        and max(distances[i, j], distances[j, i]) < SWAP_DISTANCE * spacing[i, j]
     ]
     return f"exchange {listed(pairs)}" if pairs else None

@@ -78,7 +78,7 @@ def transfer_weights(
 def _transfer_by_name(
     weights: FloatArray, links: ShapeLinks, source: Sequence[str], target_count: int
 ) -> TransferredWeights:
-    """Copy weights along name links; warn of moving shapes without a link (FAC108)."""
+    """Copy weights to linked shapes; warn about unlinked moving shapes (FAC108)."""
     if not links.links:
         message = "no shape of the source has its name in the target"
         hint = "pair them in a remap file"

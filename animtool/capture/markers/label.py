@@ -18,7 +18,7 @@ from animtool.capture.markers.naming import PointNaming, search_names
 from animtool.capture.markers.plausible import plausibility_warnings
 from animtool.capture.markers.runs import TrackletLabels
 from animtool.capture.markers.tracklets import Tracklets, track_points
-from animtool.capture.markers.twins import NameExchange, distinguish_twins, is_exchanged
+from animtool.capture.markers.twins import NameSwap, distinguish_twins, is_swapped
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import span_label
 from animtool.core.errors import Fault, OptionError, warning
@@ -42,7 +42,7 @@ CHAIN_ROUNDS = 2
 
 
 def identify_runs(
-    points: FloatArray, rest_shape: FloatArray, rest_lengths: FloatArray
+    points: FloatArray, rest_shape: FloatArray, rest_distances: FloatArray
 ) -> IntArray | None:
     """Return the marker of each run of points ``(F, R, 3)``; None if nothing fits."""
     chain_of_run = np.arange(points.shape[1])
@@ -58,13 +58,13 @@ def identify_runs(
     is_visible = np.isfinite(points[..., 0]).astype(np.float64)
     groups = _rigid_groups(distances)
     seeds = _find_seeds(
-        points, groups, distances, rest_shape, rest_lengths, SEED_TOLERANCE
+        points, groups, distances, rest_shape, rest_distances, SEED_TOLERANCE
     )
     if not seeds:
         seeds = _find_seeds(
-            points, groups, distances, rest_shape, rest_lengths, LOOSE_SEED_TOLERANCE
+            points, groups, distances, rest_shape, rest_distances, LOOSE_SEED_TOLERANCE
         )
-    initial_naming = PointNaming(distances, is_visible.T @ is_visible, rest_lengths)
+    initial_naming = PointNaming(distances, is_visible.T @ is_visible, rest_distances)
     merged_seed = _merge_seeds(seeds, initial_naming.are_concurrent)
     namings = []
     for seed in filter(None, [merged_seed, *seeds[:MAX_SEEDS]]):
@@ -76,7 +76,7 @@ def identify_runs(
     if not namings:
         return None
     best_naming = max(namings, key=PointNaming.total_evidence)
-    naming = search_names(best_naming, rest_lengths, seeds[:MAX_RESTART_SEEDS])
+    naming = search_names(best_naming, rest_distances, seeds[:MAX_RESTART_SEEDS])
     return naming.point_markers[chain_of_run]
 
 
@@ -105,13 +105,13 @@ def _find_seeds(
     groups: list[tuple[int, ...]],
     distances: MarkerDistances,
     rest_shape: FloatArray,
-    rest_lengths: FloatArray,
+    rest_distances: FloatArray,
     tolerance: float,
 ) -> list[dict[int, int]]:
     """Return rigid groups as point → marker, by the error of their shape at rest."""
     seeds = []
     for group in groups:
-        for markers in _match_markers(group, distances.mean, rest_lengths, tolerance):
+        for markers in _match_markers(group, distances.mean, rest_distances, tolerance):
             shape_error = _shape_error(points[:, group], rest_shape[list(markers)])
             if shape_error < MAX_SEED_ERROR:
                 seeds.append((shape_error, dict(zip(group, markers, strict=True))))
@@ -142,19 +142,21 @@ def _rigid_groups(distances: MarkerDistances) -> list[tuple[int, ...]]:
 
 def _match_markers(
     group: tuple[int, ...],
-    lengths: FloatArray,
-    rest_lengths: FloatArray,
+    distances: FloatArray,
+    rest_distances: FloatArray,
     tolerance: float,
 ) -> list[tuple[int, ...]]:
     """Return all marker tuples whose rest distances match those of a group of runs."""
     first, second = np.nonzero(
-        np.abs(rest_lengths - lengths[group[1], group[0]]) < tolerance
+        np.abs(rest_distances - distances[group[1], group[0]]) < tolerance
     )
     partial_matches = np.stack([first, second], axis=1)
     partial_matches = partial_matches[first != second]
     for k in range(2, len(group)):
-        group_lengths = lengths[group[k], group[:k]]
-        deviation = np.abs(rest_lengths[partial_matches] - group_lengths[None, :, None])
+        group_distances = distances[group[k], group[:k]]
+        deviation = np.abs(
+            rest_distances[partial_matches] - group_distances[None, :, None]
+        )
         is_match: BoolArray = np.asarray((deviation < tolerance).all(axis=1))
         is_match[np.arange(len(partial_matches))[:, None], partial_matches] = False
         match_indices, next_marker = np.nonzero(is_match)
@@ -180,12 +182,12 @@ FIRST_SPAN_SECONDS = 10.0
 
 @dataclass(frozen=True, slots=True)
 class AmbiguousNames:
-    """Markers whose names could be exchanged without contradicting the capture."""
+    """Markers whose names could be swapped without contradicting the capture."""
 
     markers: tuple[str, ...]  # names of the markers
     first: int  # first frame in which all of them are visible, from 0
     last: int  # last such frame
-    # Evidence for the exchange [nat]: 0 if it equals that for the assigned names,
+    # Evidence for the swap [nat]: 0 if it equals that for the assigned names,
     # negative if less.
     score: float
 
@@ -232,19 +234,17 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
         message = "no group of points moves like a segment of the trial"
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
-    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
+    rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     labels = TrackletLabels(
-        cloud.positions, tracklets, rate, marker_of_first_run, rest_lengths
+        cloud.positions, tracklets, rate, marker_of_first_run, rest_distances
     )
-    new_marker_of, exchanges, pairs = distinguish_twins(
-        labels.marker_paths(), rest_shape
-    )
+    new_marker_of, swaps, pairs = distinguish_twins(labels.marker_paths(), rest_shape)
     is_named = labels.run_markers >= 0
     labels.run_markers = np.where(is_named, new_marker_of[labels.run_markers], -1)
     for pair in pairs:
-        _exchange_where_better(labels, rest_shape, pair)
+        _swap_where_better(labels, rest_shape, pair)
     labels.name_runs()
-    return _apply_names(cloud, names, tracklets, labels.run_markers, exchanges)
+    return _apply_names(cloud, names, tracklets, labels.run_markers, swaps)
 
 
 def _static_template(static: Markers) -> tuple[tuple[str, ...], FloatArray]:
@@ -263,7 +263,7 @@ def _apply_names(
     names: tuple[str, ...],
     tracklets: Tracklets,
     run_markers: IntArray,
-    exchanges: list[NameExchange],
+    swaps: list[NameSwap],
 ) -> tuple[Markers, LabelReport]:
     """Return the cloud with a named marker for each name, and the report."""
     frame_count = len(cloud)
@@ -282,7 +282,7 @@ def _apply_names(
     if missing_names:
         message = f"no points were found for {', '.join(missing_names)}"
         notices.append(warning("MKR110", message))
-    doubts = _exchange_doubts(labelled_cloud, exchanges)
+    doubts = _swap_doubts(labelled_cloud, swaps)
     if doubts:
         notices.append(_doubt_warning(doubts, cloud))
     report = LabelReport(
@@ -293,17 +293,17 @@ def _apply_names(
     return labelled_cloud, report
 
 
-def _exchange_doubts(
-    labelled_cloud: Markers, exchanges: list[NameExchange]
+def _swap_doubts(
+    labelled_cloud: Markers, swaps: list[NameSwap]
 ) -> list[AmbiguousNames]:
-    """Return doubtful exchanges as names, with the first and last frame of all."""
+    """Return doubtful swaps as names, with the first and last frame of all."""
     doubts = []
-    for exchange in exchanges:
-        markers = list(exchange.markers)
+    for swap in swaps:
+        markers = list(swap.markers)
         shared_frames = np.flatnonzero(labelled_cloud.visible[:, markers].all(axis=1))
         if len(shared_frames):
             names = tuple(labelled_cloud.names[marker] for marker in markers)
-            score = round(exchange.score, 3)
+            score = round(swap.score, 3)
             first, last = shared_frames[[0, -1]].tolist()
             doubts.append(AmbiguousNames(names, first, last, score))
     return doubts
@@ -331,13 +331,13 @@ def _name_first_runs(
     Return None if no group of runs fits the markers at rest.
     """
     frames, long_runs = _find_first_span(tracklets, len(cloud), float(cloud.clock.rate))
-    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
+    rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     column_of_run = np.full(len(tracklets.first) + 1, -1)
     column_of_run[long_runs] = np.arange(len(long_runs))
     points = positions_by_column(
         cloud.positions[frames], tracklets.ids[frames], column_of_run, len(long_runs)
     )
-    markers = identify_runs(points, rest_shape, rest_lengths)
+    markers = identify_runs(points, rest_shape, rest_distances)
     if markers is None:
         return None
     run_markers = np.full(len(tracklets.first), -1)
@@ -365,10 +365,10 @@ def _find_first_span(
     )
 
 
-def _exchange_where_better(
+def _swap_where_better(
     labels: TrackletLabels, rest_shape: FloatArray, pair: tuple[int, int]
 ) -> None:
-    """Exchange two markers' runs where the rest shape fits better exchanged.
+    """Swap two markers' runs where the rest shape then fits better.
 
     Runs are tested in groups that end at a gap of both markers.
     """
@@ -385,6 +385,6 @@ def _exchange_where_better(
     for run_group in run_groups:
         end = int(last[run_group].max()) + 1
         frames = slice(int(first[run_group].min()), end)
-        if is_exchanged(marker_positions[frames], rest_shape, pair):
+        if is_swapped(marker_positions[frames], rest_shape, pair):
             markers = labels.run_markers[run_group]
             labels.run_markers[run_group] = sum(pair) - markers

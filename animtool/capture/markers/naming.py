@@ -26,11 +26,11 @@ MIN_NAMED_FRACTION, LONG_FRACTION, RESTART_COUNT = 0.5, 0.3, 60
 RESTART_RADIUS, RANDOM_BIAS, SCRATCH_PROBABILITY = (0.3, 1.2), (0.5, 6.0), 0.4
 # Radius around a doubtful marker [m].
 DOUBT_RADIUS = 0.3
-# Markers this near at rest are exchanged in triples and double pairs [m].
-EXCHANGE_DISTANCE = 0.28
-# Exchanges are tried if the names are within this margin of the best [nat].
-EXCHANGE_MARGIN = 10.0
-MAX_EXCHANGES = 40
+# Markers this near at rest are swapped in triples and double pairs [m].
+SWAP_DISTANCE = 0.28
+# Swaps are tried if the names are within this margin of the best [nat].
+SWAP_MARGIN = 10.0
+MAX_SWAPS = 40
 
 
 class PointNaming:
@@ -78,7 +78,7 @@ class PointNaming:
         }
         pair_array = np.array(sorted(rigid_pairs), np.int64).reshape(-1, 2)
         self.rigid_pairs = pair_array[:, 0], pair_array[:, 1]
-        self.exchanges = find_exchanges(rest_distances)
+        self.swaps = find_swaps(rest_distances)
         self.point_markers = np.full(point_count, -1)
         self.scores = np.zeros((point_count, marker_count))
         self.blocked_counts = np.zeros((point_count, marker_count), np.int64)
@@ -162,13 +162,13 @@ class PointNaming:
         return float(margin[row]), (int(first[row]), i), (int(second[row]), j)
 
     def improve(self, best_total: float = -np.inf) -> None:
-        """Rename points and exchange markers as long as the likelihood increases.
+        """Rename points and swap markers as long as the likelihood increases.
 
-        best_total: Exchanges are not tried far below this total [nat].
+        best_total: Swaps are not tried far below this total [nat].
         """
-        for _ in range(MAX_EXCHANGES):
+        for _ in range(MAX_SWAPS):
             has_changed = self._improve_names()
-            if self.total_evidence() < best_total - EXCHANGE_MARGIN:
+            if self.total_evidence() < best_total - SWAP_MARGIN:
                 return
             new_markers = self._better_permutation()
             if new_markers is None:
@@ -224,14 +224,14 @@ class PointNaming:
             pair_scores[named_markers, self.point_markers[point]] += rows[:, point]
         pair_scores[np.arange(marker_count), np.arange(marker_count)] = 0.0
         new_markers = np.arange(marker_count)
-        for _ in range(MAX_EXCHANGES):
+        for _ in range(MAX_SWAPS):
             # Evidence of each marker for each name, given the names of all others.
             single_scores = np.zeros((marker_count, marker_count))
             for other in named_markers.tolist():
                 single_scores += pair_scores[:, other, :, new_markers[other]]
             best_markers, best_gain = None, MIN_EVIDENCE_GAIN
-            for old, new in self.exchanges:
-                gains = compute_exchange_gains(
+            for old, new in self.swaps:
+                gains = compute_swap_gains(
                     pair_scores, single_scores, new_markers, old, new
                 )
                 best_row = int(gains.argmax()) if len(gains) else 0
@@ -383,31 +383,33 @@ def compute_pair_evidence(
     return np.asarray(pair_scores)
 
 
-def compute_exchange_gains(
+def compute_swap_gains(
     pair_scores: FloatArray,
     single_scores: FloatArray,
-    names: IntArray,
+    labels: IntArray,
     old: IntArray,
     new: IntArray,
 ) -> FloatArray:
-    """Return each exchange's gain in evidence ``(N,)`` [nat].
+    """Return each swap's gain in evidence ``(N,)`` [nat].
 
-    old: Markers of each exchange ``(N, K)``. new: Whose names they get ``(N, K)``.
+    old: Markers of each swap ``(N, K)``. new: Whose labels they get ``(N, K)``.
     """
-    old_names, new_names = names[old], names[new]
-    gains = (single_scores[old, new_names] - single_scores[old, old_names]).sum(axis=1)
+    old_labels, new_labels = labels[old], labels[new]
+    gains = (single_scores[old, new_labels] - single_scores[old, old_labels]).sum(
+        axis=1
+    )
     for a, b in combinations(range(old.shape[1]), 2):
         old_pair, new_pair = old[:, a], old[:, b]
-        gains += pair_scores[old_pair, new_pair, new_names[:, a], new_names[:, b]]
-        gains += pair_scores[old_pair, new_pair, old_names[:, a], old_names[:, b]]
-        gains -= pair_scores[old_pair, new_pair, new_names[:, a], old_names[:, b]]
-        gains -= pair_scores[old_pair, new_pair, old_names[:, a], new_names[:, b]]
+        gains += pair_scores[old_pair, new_pair, new_labels[:, a], new_labels[:, b]]
+        gains += pair_scores[old_pair, new_pair, old_labels[:, a], old_labels[:, b]]
+        gains -= pair_scores[old_pair, new_pair, new_labels[:, a], old_labels[:, b]]
+        gains -= pair_scores[old_pair, new_pair, old_labels[:, a], new_labels[:, b]]
     return np.asarray(gains)
 
 
-def find_exchanges(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
-    """Return name exchanges to try: markers ``(N, K)``, and their new names."""
-    is_near = rest_distances < EXCHANGE_DISTANCE
+def find_swaps(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
+    """Return name swaps to try: markers ``(N, K)``, and their new names."""
+    is_near = rest_distances < SWAP_DISTANCE
     first, second = np.triu_indices(len(rest_distances), 1)
     marker_pairs = np.stack([first, second], axis=1)
     close_pairs = marker_pairs[is_near[first, second]]

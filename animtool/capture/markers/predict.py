@@ -119,15 +119,19 @@ def predict_from_markers(gap: MarkerGap) -> Prediction | None:
     predictions = []
     for count in AXES_MARKERS:
         if count <= len(neighbours):
-            local, pose, to_world = _in_neighbour_axes(gap, frames, neighbours, count)
-            best = _best_prediction(gap, local, pose, frames, DEVIATION_KERNELS, count)
+            relative_path, pose, to_world = _in_neighbour_axes(
+                gap, frames, neighbours, count
+            )
+            best = _best_prediction(
+                gap, relative_path, pose, frames, DEVIATION_KERNELS, count
+            )
             predictions.append(replace(best, positions=to_world(best.positions)))
     return min(predictions, key=lambda best: best.error)
 
 
 def _best_prediction(
     gap: MarkerGap,
-    local: FloatArray,
+    relative_path: FloatArray,
     pose: FloatArray,
     frames: IntArray,
     deviation_kernels: tuple[tuple[float, float], ...],
@@ -135,12 +139,12 @@ def _best_prediction(
 ) -> Prediction:
     """Return the prediction with the smallest cross-validation error of all kernels.
 
-    local: Marker positions in moving axes ``(F, 3)``, visible in all frames but
+    relative_path: Marker positions in moving axes ``(F, 3)``, visible in all frames but
     those of the gap, which are last. pose_points: Other markers in these axes, the
     most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
     there are any.
     """
-    known = local[: len(frames) - (gap.frames.stop - gap.frames.start)]
+    known = relative_path[: len(frames) - (gap.frames.stop - gap.frames.start)]
     best_prediction: Prediction | None = None
     for pose_marker_count in POSE_MARKERS:
         if pose_marker_count > pose.shape[1]:
@@ -189,10 +193,12 @@ def predict_from_parent_joint(
             rotations.append(_rotate_towards(parent_rotations, directions))
     predictions = []
     for rotation in rotations:
-        local = np.einsum("fji,fj->fi", rotation, positions[frames, marker] - origin)
+        relative_path = np.einsum(
+            "fji,fj->fi", rotation, positions[frames, marker] - origin
+        )
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best = _best_prediction(gap, local, pose, frames, LOOSE_KERNELS)
+        best = _best_prediction(gap, relative_path, pose, frames, LOOSE_KERNELS)
         path = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
         predictions.append(replace(best, positions=path + origin[known_count:]))
     return min(predictions, key=lambda best: best.error)
@@ -267,14 +273,14 @@ def _in_neighbour_axes(
     rotation, shift = fit_shape(neighbour_positions[:, :count], shape)
     pose = np.einsum("fji,fkj->fki", rotation, neighbour_positions - shift[:, None])
     offset = gap.positions[frames, gap.marker] - shift
-    local = np.einsum("fji,fj->fi", rotation, offset)
+    relative_path = np.einsum("fji,fj->fi", rotation, offset)
 
     def to_world(values: FloatArray) -> FloatArray:
         """Map positions in the last frames, ``(G, 3)``, to the world."""
         path = np.einsum("fij,fj->fi", rotation[-len(values) :], values)
         return np.asarray(path + shift[-len(values) :])
 
-    return local, pose, to_world
+    return relative_path, pose, to_world
 
 
 def _predict_gap(

@@ -1,4 +1,4 @@
-"""Repair of temporarily exchanged marker names."""
+"""Repair of temporarily swapped marker names."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from animtool.core.record import dataclass
 from animtool.maths.runs import merge_runs, runs
 from animtool.motion.markers import Markers
 
-# Minimum frames of an exchange; a shorter one is a spike.
+# Minimum frames of a swap; a shorter one is a spike.
 MIN_SWAP_FRAMES = 4
 # Tolerance of an extrapolated position: noise [m], acceleration of a marker without a
 # history [m/s^2], and its speed [m/s]. Otherwise the acceleration is a multiple of the
@@ -29,15 +29,15 @@ BRIDGE_SECONDS = 0.1
 PAST_SAMPLES = 3
 # A jump leads to another marker's position if that is this many times nearer.
 MIN_DISTANCE_RATIO = 2.5
-# Cost of an arbitrary position, of a change of names, and of an exchanged frame:
-# without other evidence, the shorter part is the exchanged one.
+# Cost of an arbitrary position, of a change of names, and of a swapped frame:
+# without other evidence, the shorter part is the swapped one.
 ARBITRARY_COST, NAME_CHANGE_COST, SWAPPED_FRAME_COST = 16.0, 5.0, 0.002
 # Distances to other markers are weaker evidence than frame-to-frame motion: the largest
 # evidence of a span, and the number of its frames that are sampled.
 MAX_SHAPE_GAIN, SHAPE_SAMPLES = 4.0, 24
 # Tolerance of a distance: noise and skin motion [m], and a factor on its spread.
 DISTANCE_TOLERANCE, SPREAD_FACTOR = 0.006, 1.5
-# Minimum log-likelihood gain of an exchange.
+# Minimum log-likelihood gain of a swap.
 MIN_SWAP_GAIN = 2.0
 
 
@@ -51,10 +51,10 @@ class Swap:
 
 
 def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
-    """Undo exchanges of marker names, and list the swaps.
+    """Undo swaps of marker names, and list them.
 
     A pair of markers is tested over the full take if one jumps to the other's expected
-    position. Of all exchanges of their names in spans of frames, the one is kept in
+    position. Of all swaps of their names in spans of frames, the one is kept in
     which both move most smoothly and keep their typical distances to the others.
     """
     swaps: list[Swap] = []
@@ -166,7 +166,7 @@ class _SwapPath:
     """A path of the Viterbi search: when two markers' names changed, and its cost."""
 
     cost: float  # negative log-likelihood
-    state: int  # 1 if the names are exchanged at its end, else 0
+    state: int  # 1 if the names are swapped at its end, else 0
     changes: tuple[int, ...]  # frames in which the state changes
     past_positions: list[list[Any]]  # last visible frames and positions of both markers
 
@@ -176,9 +176,9 @@ def _find_crossed_frames(
 ) -> tuple[float, BoolArray]:
     """Find the frames in which two markers have each other's names ``(F,)``.
 
-    The log-likelihood gain over no exchange is returned first.
+    The log-likelihood gain over no swap is returned first.
 
-    Viterbi search: of the paths that end normally and of those that end exchanged, the
+    Viterbi search: of the paths that end normally and of those that end swapped, the
     best one is kept from frame to frame, with the last visible positions of both
     markers.
     """
@@ -215,7 +215,7 @@ def _find_crossed_frames(
             end: int = end,
             costs_by_state: tuple[float, float] = costs_by_state,
         ) -> _SwapPath:
-            """Extend a path by a span in a state: 0 own names, 1 exchanged names."""
+            """Extend a path by a span in a state: 0 own names, 1 swapped names."""
             cost, changes = path.cost + costs_by_state[state], path.changes
             if state != path.state:
                 cost, changes = cost + NAME_CHANGE_COST, (*changes, start)
@@ -251,10 +251,10 @@ def _find_crossed_frames(
 def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
     """Estimate the largest acceleration of two markers from its median [m/s^2]."""
     second_differences = np.linalg.norm(np.diff(pair_positions, 2, axis=0), axis=-1)
-    finite_differences = second_differences[np.isfinite(second_differences)]
-    if not len(finite_differences):
+    valid_differences = second_differences[np.isfinite(second_differences)]
+    if not len(valid_differences):
         return DEFAULT_ACCELERATION
-    largest = ACCELERATION_FACTOR * np.median(finite_differences) * rate**2
+    largest = ACCELERATION_FACTOR * np.median(valid_differences) * rate**2
     return float(np.clip(largest, MIN_ACCELERATION, DEFAULT_ACCELERATION))
 
 
@@ -295,7 +295,7 @@ def _shape_gain(
     end: int,
     known_lengths: MarkerDistances,
 ) -> float:
-    """Return the log-likelihood gain of an exchange from distances to other markers."""
+    """Return the log-likelihood gain of a swap from distances to other markers."""
     if end - start < MIN_SWAP_FRAMES:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SHAPE_SAMPLES).astype(np.int64))
@@ -332,7 +332,7 @@ def _swap_spans(
     """
     is_visible = np.asarray(np.isfinite(pair_positions[..., 0]).any(axis=1))
     spans = []
-    # A few normal frames between exchanged ones are a spike.
+    # A few normal frames between swapped ones are a spike.
     for first, end in merge_runs(runs(is_crossed), MIN_SWAP_FRAMES):
         visible_frames = first + np.flatnonzero(is_visible[first:end])
         if len(visible_frames) < MIN_SWAP_FRAMES:

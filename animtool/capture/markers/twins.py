@@ -8,18 +8,18 @@ import numpy as np
 
 from animtool.capture.markers.geometry import marker_distances, mean_square_errors
 from animtool.capture.markers.naming import (
-    compute_exchange_gains,
     compute_pair_evidence,
-    find_exchanges,
+    compute_swap_gains,
+    find_swaps,
 )
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.record import dataclass
 
-# Exchanges with more evidence against them are ignored [nat].
+# Swaps with more evidence against them are ignored [nat].
 MAX_COUNTER_EVIDENCE = 6.0
-# Number of neighbours; any two of them define a frame with the exchanged markers.
+# Number of neighbours; any two of them define a frame with the swapped markers.
 NEIGHBOUR_COUNT = 5
-# Two pairs this near each other are exchanged together [m].
+# Two pairs this near each other are swapped together [m].
 PAIR_DISTANCE = 0.26
 # Number of sampled frames, the fraction of them nearest to the trial's pose [1], and
 # their minimum number.
@@ -27,125 +27,125 @@ SAMPLED_FRAME_COUNT, BEST_FRAME_FRACTION, MIN_COMPLETE_FRAMES = 120, 0.1, 8
 # Shape error from noise alone [m], and evidence against a shape per factor e of its
 # error [nat].
 SHAPE_NOISE, SHAPE_EVIDENCE = 0.001, 10.0
-# Minimum gain of an exchange, and of an exchange in doubt [nat].
+# Minimum gain of a swap, and of a swap in doubt [nat].
 MIN_GAIN, MIN_DOUBT_GAIN = 0.05, -0.8
 # Minimum gain in part of a take [nat].
 MIN_SPAN_GAIN = 2.0
-MAX_EXCHANGE_ROUNDS = 12
+MAX_SWAP_ROUNDS = 12
 
 
 @dataclass(frozen=True, slots=True)
-class NameExchange:
+class NameSwap:
     """A swap of marker names that fits the take about as well as the chosen names."""
 
-    markers: tuple[int, ...]  # the exchanged markers
-    score: float  # evidence for the exchange [nat]; negative
+    markers: tuple[int, ...]  # the swapped markers
+    score: float  # evidence for the swap [nat]; negative
 
 
 def distinguish_twins(
     positions: FloatArray, rest_shape: FloatArray
-) -> tuple[IntArray, list[NameExchange], list[tuple[int, int]]]:
-    """Exchange the names of similar markers if distances and shapes fit better.
+) -> tuple[IntArray, list[NameSwap], list[tuple[int, int]]]:
+    """Swap the names of similar markers if distances and shapes fit better.
 
-    Return the new name of each marker ``(M,)``, the exchanges that stay in doubt, and
+    Return the new name of each marker ``(M,)``, the swaps that stay in doubt, and
     the pairs that distances cannot distinguish, by final names.
 
-    Exchanges that distances do not rule out are compared by distances and by shape: the
+    Swaps that distances do not rule out are compared by distances and by shape: the
     error of the rest shape on the points, with any two neighbouring markers, in the
     best frames, rotated but not mirrored.
 
     positions: By current names ``(F, M, 3)``. rest_shape: ``(M, 3)`` [m].
     """
-    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
+    rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     is_visible = np.isfinite(positions[..., 0]).astype(np.float64)
     overlap = is_visible.T @ is_visible
     overlap_fraction = overlap / max(1.0, float(overlap.max()))
     np.fill_diagonal(overlap_fraction, 0.0)
     pair_scores = compute_pair_evidence(
-        marker_distances(positions), overlap_fraction, rest_lengths
+        marker_distances(positions), overlap_fraction, rest_distances
     )
-    exchanges = _drop_unrelated(find_exchanges(rest_lengths), rest_lengths)
-    names = np.arange(len(rest_shape))
+    swaps = _drop_unrelated(find_swaps(rest_distances), rest_distances)
+    labels = np.arange(len(rest_shape))
     shape_cache: dict[tuple[int, ...], float] = {}
-    doubtful_exchanges: list[NameExchange] = []
+    doubtful_swaps: list[NameSwap] = []
     doubtful_pairs: list[tuple[int, int]] = []
-    for _ in range(MAX_EXCHANGE_ROUNDS):
-        single_scores = np.zeros(rest_lengths.shape)
-        for marker, name in enumerate(names.tolist()):
-            single_scores += pair_scores[:, marker, :, name]
-        best_names, best_gain = None, MIN_GAIN
-        doubtful_exchanges, doubtful_pairs = [], []
-        for old, new in exchanges:
-            gains = compute_exchange_gains(pair_scores, single_scores, names, old, new)
+    for _ in range(MAX_SWAP_ROUNDS):
+        single_scores = np.zeros(rest_distances.shape)
+        for marker, label in enumerate(labels.tolist()):
+            single_scores += pair_scores[:, marker, :, label]
+        best_labels, best_gain = None, MIN_GAIN
+        doubtful_swaps, doubtful_pairs = [], []
+        for old, new in swaps:
+            gains = compute_swap_gains(pair_scores, single_scores, labels, old, new)
             for row in np.flatnonzero(gains > -MAX_COUNTER_EVIDENCE).tolist():
                 if old.shape[1] == 2:
-                    a, b = names[old[row]].tolist()
+                    a, b = labels[old[row]].tolist()
                     doubtful_pairs.append((a, b))
-                changed_names = names.copy()
-                changed_names[old[row]] = names[new[row]]
+                changed_labels = labels.copy()
+                changed_labels[old[row]] = labels[new[row]]
                 score = float(gains[row])
                 score += SHAPE_EVIDENCE * _shape_evidence(
                     positions,
                     rest_shape,
-                    rest_lengths,
+                    rest_distances,
                     old[row].tolist(),
-                    names,
-                    changed_names,
+                    labels,
+                    changed_labels,
                     shape_cache,
                 )
                 if score > best_gain:
-                    best_names, best_gain = changed_names, score
+                    best_labels, best_gain = changed_labels, score
                 elif score > MIN_DOUBT_GAIN:
-                    markers = tuple(sorted(names[old[row]].tolist()))
-                    doubtful_exchanges.append(NameExchange(markers, min(score, 0.0)))
-        if best_names is None:
+                    markers = tuple(sorted(labels[old[row]].tolist()))
+                    doubtful_swaps.append(NameSwap(markers, min(score, 0.0)))
+        if best_labels is None:
             break
-        names = best_names
-    return names, doubtful_exchanges, doubtful_pairs
+        labels = best_labels
+    return labels, doubtful_swaps, doubtful_pairs
 
 
-def is_exchanged(
+def is_swapped(
     positions: FloatArray, rest_shape: FloatArray, pair: tuple[int, int]
 ) -> bool:
-    """Return whether shapes clearly show two markers exchanged in some frames.
+    """Return whether shapes clearly show two markers swapped in some frames.
 
     positions: Positions in these frames, by current names ``(F, M, 3)``.
     """
-    names = np.arange(len(rest_shape))
-    exchanged_names = names.copy()
-    exchanged_names[list(pair)] = pair[::-1]
-    rest_lengths = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
+    labels = np.arange(len(rest_shape))
+    swapped_labels = labels.copy()
+    swapped_labels[list(pair)] = pair[::-1]
+    rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     shape_evidence = _shape_evidence(
-        positions, rest_shape, rest_lengths, list(pair), names, exchanged_names, {}
+        positions, rest_shape, rest_distances, list(pair), labels, swapped_labels, {}
     )
     return SHAPE_EVIDENCE * shape_evidence > MIN_SPAN_GAIN
 
 
 def _drop_unrelated(
-    exchanges: list[tuple[IntArray, IntArray]], rest_lengths: FloatArray
+    swaps: list[tuple[IntArray, IntArray]], rest_distances: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
-    """Drop double exchanges of two pairs that do not affect each other's distances."""
-    near_exchanges = []
-    for old, new in exchanges:
+    """Drop double swaps of two pairs that do not affect each other's distances."""
+    near_swaps = []
+    for old, new in swaps:
         is_near = np.ones(len(old), bool)
         if old.shape[1] == 4:
-            pair_distances = rest_lengths[old[:, :2, None], old[:, None, 2:]]
+            pair_distances = rest_distances[old[:, :2, None], old[:, None, 2:]]
             is_near = pair_distances.min(axis=(1, 2)) < PAIR_DISTANCE
-        near_exchanges.append((old[is_near], new[is_near]))
-    return near_exchanges
+        near_swaps.append((old[is_near], new[is_near]))
+    return near_swaps
 
 
 def _shape_evidence(
     positions: FloatArray,
     rest_shape: FloatArray,
-    rest_lengths: FloatArray,
+    rest_distances: FloatArray,
     changed_markers: list[int],
-    current_names: IntArray,
-    other_names: IntArray,
+    current_labels: IntArray,
+    other_labels: IntArray,
     cache: dict[tuple[int, ...], float],
 ) -> float:
-    """Return the mean log ratio of shape errors, before over after an exchange."""
-    distances = rest_lengths[current_names[changed_markers]][:, current_names].min(
+    """Return the mean log ratio of shape errors, before over after a swap."""
+    distances = rest_distances[current_labels[changed_markers]][:, current_labels].min(
         axis=0
     )
     distances[changed_markers] = np.inf
@@ -154,10 +154,10 @@ def _shape_evidence(
     for pair in combinations(nearest.tolist(), 2):
         group = [*changed_markers, *pair]
         errors = []
-        for names in (current_names, other_names):
-            key = (*group, *names[group].tolist())
+        for labels in (current_labels, other_labels):
+            key = (*group, *labels[group].tolist())
             if key not in cache:
-                cache[key] = _shape_error(positions, group, rest_shape[names[group]])
+                cache[key] = _shape_error(positions, group, rest_shape[labels[group]])
             errors.append(cache[key])
         if np.isfinite(errors).all():
             ratios.append(np.log((errors[0] + SHAPE_NOISE) / (errors[1] + SHAPE_NOISE)))

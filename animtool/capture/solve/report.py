@@ -29,7 +29,7 @@ class MarkerScore:
 
 
 @dataclass(frozen=True, slots=True)
-class ExchangedLabels:
+class SwappedLabels:
     """Frames in which a marker has the position of another label."""
 
     marker: str  # the marker
@@ -54,8 +54,8 @@ class SolveScore:
     searched: IntArray = field(init=False)  # frames with a second search, by index
     # Fit by marker.
     markers: list[MarkerScore] = field(init=False, default_factory=list)
-    # Exchanged labels.
-    exchanged: list[ExchangedLabels] = field(init=False, default_factory=list)
+    # Swapped labels.
+    swapped: list[SwappedLabels] = field(init=False, default_factory=list)
     # Root mean square residual over all fitting markers [m].
     total: float = field(init=False, default=float("nan"))
     _residuals: FloatArray = field(init=False, repr=False)
@@ -117,8 +117,8 @@ class SolveScore:
             )
             for e, name in enumerate(self.names)
         ]
-        self.exchanged = [
-            ExchangedLabels(self.names[e], self.names[label], first, end - 1)
+        self.swapped = [
+            SwappedLabels(self.names[e], self.names[label], first, end - 1)
             for e in marker_indices.tolist()
             for label in np.unique(self._target_indices[:, e]).tolist()
             if label not in (e, -1)

@@ -103,7 +103,7 @@ def marker_residuals(
 def swapped_side_notices(
     model: MarkerProblem, sample: FloatArray, noise: FloatArray, min_noise: float
 ) -> list[Fault]:
-    """Return a warning if left and right marker names look exchanged (SOL109).
+    """Return a warning if left and right marker names look swapped (SOL109).
 
     The sampled positions are ``(F, E, 3)`` [m]; noise ``(E,)`` and its lower bound in
     metres.
@@ -112,29 +112,29 @@ def swapped_side_notices(
     pairs = pair_sides(names)
     if not pairs.left or float(noise.max()) < MIN_SWAP_RESIDUAL / 2:
         return []
-    exchanged_sample = sample[:, pairs.partners]
+    swapped_sample = sample[:, pairs.partners]
     median_noise = float(np.median(noise))
     if median_noise >= MIN_SWAP_RESIDUAL / 2:
-        exchanged_noise = float(
-            np.median(estimate_noise(model, exchanged_sample, min_noise))
+        swapped_noise = float(
+            np.median(estimate_noise(model, swapped_sample, min_noise))
         )
-        if exchanged_noise < MAX_SWAP_RATIO * median_noise:
+        if swapped_noise < MAX_SWAP_RATIO * median_noise:
             message = (
                 "left and right look swapped: with all their markers exchanged, "
-                f"they are {length_text(exchanged_noise)} off their positions "
+                f"they are {length_text(swapped_noise)} off their positions "
                 f"on the rig, not {length_text(median_noise)}"
             )
             return [_swapped_warning(message)]
     coordinates = independent_poses(model, sample, noise)
-    residuals, exchanged_residuals = (
+    residuals, swapped_residuals = (
         _column_medians(marker_residuals(model, coordinates, positions))
-        for positions in (sample, exchanged_sample)
+        for positions in (sample, swapped_sample)
     )
     swapped_pairs = []
     for left in pairs.left:
         both_markers = [left, int(pairs.partners[left])]
         residual = residuals[both_markers].min()
-        swap_residual = exchanged_residuals[both_markers].max()
+        swap_residual = swapped_residuals[both_markers].max()
         if residual > MIN_SWAP_RESIDUAL and swap_residual < MAX_SWAP_RATIO * residual:
             swapped_pairs.append(both_markers)
     if not swapped_pairs:
@@ -143,7 +143,7 @@ def swapped_side_notices(
     first = swapped_pairs[0][0]
     message = (
         f"markers look swapped: {pairs_text}; exchanged, {names[first]} is "
-        f"{length_text(float(exchanged_residuals[first]))} off its position on the "
+        f"{length_text(float(swapped_residuals[first]))} off its position on the "
         f"rig, not {length_text(float(residuals[first]))}"
     )
     return [_swapped_warning(message)]
@@ -177,6 +177,6 @@ def _column_medians(residuals: FloatArray) -> FloatArray:
 
 
 def _swapped_warning(message: str) -> Fault:
-    """Return warning SOL109 with a hint to exchange the names."""
+    """Return warning SOL109 with a hint to swap the names."""
     hint = "exchange their names in the capture, or their entries in the template"
     return warning("SOL109", message, hint)

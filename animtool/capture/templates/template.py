@@ -109,10 +109,10 @@ class MarkerTemplate:
             named_rig = Rig.load(self.rig)
         except AnimtoolError:
             return faults
-        names = {marker.joint for marker in self.markers}
-        if not names <= set(named_rig.names):
+        joint_names = {marker.joint for marker in self.markers}
+        if not joint_names <= set(named_rig.names):
             return faults
-        missing_joints = [repr(name) for name in sorted(names - set(rig.names))]
+        missing_joints = [repr(name) for name in sorted(joint_names - set(rig.names))]
         message = f"{len(faults)} of {len(self.markers)} markers are on joints that "
         message += f"{rig.name!r} lacks: {listed(missing_joints, 4)}"
         hint = f"the template is for {self.rig.name}, which has them; use its rig, or "

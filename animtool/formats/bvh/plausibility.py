@@ -65,7 +65,7 @@ class ChannelRanges:
         self.max_values = -self.min_values
 
     def add(self, rows: FloatArray, root: FloatArray) -> None:
-        """Extend the ranges by rows and the positions of the first joint.
+        """Extend the ranges to include rows of channels and the root positions.
 
         ``root`` is ``(F, 3)``, or ``(F, 0)`` without position channels.
         """

@@ -27,8 +27,8 @@ from animtool.formats.bvh.plausibility import (
     unused_positions_note,
 )
 from animtool.formats.bvh.suspicious import (
-    exchanged_root_warning,
     opposite_offset_warnings,
+    swapped_root_warning,
 )
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
@@ -265,7 +265,7 @@ def _read_blocks(
     ranges = ChannelRanges(np.unique(rotation_columns[rotation_columns >= 0]))
     for i, rows in enumerate(reader.blocks()):
         if i == 0:
-            notices += exchanged_root_warning(header, rows, rig, str(source.path))
+            notices += swapped_root_warning(header, rows, rig, str(source.path))
         translations = np.repeat(rest_positions[None], len(rows), axis=0)
         max_positions = np.maximum(
             max_positions, np.abs(rows[:, layout.position_columns]).max(axis=0)

@@ -1,4 +1,4 @@
-"""Detects exchanged root channels, and offsets whose sign differs between sides."""
+"""Detects swapped root channels, and offsets whose sign differs between sides."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ MIN_OFFSET_FRACTION = 0.03
 MIN_LATERAL_PAIRS = 2
 
 
-def exchanged_root_warning(
+def swapped_root_warning(
     header: BvhHeader, rows: FloatArray, rig: Rig, path: str
 ) -> list[Fault]:
-    """Return a warning if a root's position and rotation values look exchanged.
+    """Return a warning if a root's position and rotation values look swapped.
 
     Its height is near 0, and a rotation channel is as constant and high as
     the legs are long (BVH115).
@@ -83,8 +83,8 @@ def exchanged_root_warning(
     message += f"{plain_number(height)} in all frames, as high as the legs are long "
     message += f"({plain_number(length)}), and {channels[positions[k]]} is near 0: the "
     message += "columns of positions and rotations look exchanged"
-    exchanged = dict(zip(positions + rotations, rotations + positions, strict=True))
-    names = " ".join(channels[exchanged[i]] for i in range(6))
+    swapped = dict(zip(positions + rotations, rotations + positions, strict=True))
+    names = " ".join(channels[swapped[i]] for i in range(6))
     hint = f"if so, write CHANNELS 6 {names}"
     return [Fault("BVH115", message, path, (root.line,), hint, Severity.WARNING)]
 

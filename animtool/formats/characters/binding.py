@@ -134,8 +134,8 @@ class SkinBinder:
         bound_joints = []
         for joint, bind in zip(joints, joint_binds, strict=True):
             joint_bind = self._bind_worlds.setdefault(joint, bind)
-            magnitude = max(1e-300, float(np.abs(joint_bind).max()))
-            if np.abs(joint_bind - bind).max() <= BIND_TOLERANCE * magnitude:
+            max_magnitude = max(1e-300, float(np.abs(joint_bind).max()))
+            if np.abs(joint_bind - bind).max() <= BIND_TOLERANCE * max_magnitude:
                 bound_joints.append(joint)
                 continue
             self._helper_joints.append((joint, bind))

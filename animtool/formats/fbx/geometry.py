@@ -216,8 +216,10 @@ def _read_matrix(file: FbxFile, element: Element, name: str) -> FloatArray:
         return np.eye(4)
     matrix = numbers.reshape(4, 4).T.copy()
     linear = matrix[:3, :3]
-    magnitude = float(np.abs(linear).max())
-    is_singular = not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12
+    max_magnitude = float(np.abs(linear).max())
+    is_singular = (
+        not max_magnitude or abs(np.linalg.det(linear / max_magnitude)) < 1e-12
+    )
     if is_singular or np.abs(matrix[3] - [0, 0, 0, 1]).max() > 1e-4:
         message = f"{name} has no inverse"
         file.diagnostics.fail("FBX008", element.location, message)

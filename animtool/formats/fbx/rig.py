@@ -141,9 +141,9 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
         ]
         is_animated = any(track and not track.is_static() for track in tracks)
         bind = scene.mesh_bind_worlds[skin_index]
-        magnitude = float(np.abs(bind[:3]).max())
+        max_magnitude = float(np.abs(bind[:3]).max())
         deviation = np.abs(rest.world_matrices(node)[0] - bind).max()
-        if is_animated or deviation > BIND_TOLERANCE * magnitude:
+        if is_animated or deviation > BIND_TOLERANCE * max_magnitude:
             names.append(repr(scene.models[node].name))
     if not names:
         return []

@@ -11,7 +11,7 @@ from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.gltf.json_items import JsonItem
 from animtool.formats.gltf.meshes import GltfMesh
-from animtool.formats.gltf.nodes import VISIBILITY
+from animtool.formats.gltf.nodes import VISIBILITY_EXTENSION
 
 POINTER_EXTENSION = "KHR_animation_pointer"
 
@@ -34,7 +34,7 @@ _PATH_WIDTHS = {
 }
 _NODE_POINTER_PATTERN = re.compile(
     r"/nodes/(\d+)/(translation|rotation|scale|weights"
-    rf"|extensions/{VISIBILITY}/visible)(?:/(\d+))?$"
+    rf"|extensions/{VISIBILITY_EXTENSION}/visible)(?:/(\d+))?$"
 )
 _MESH_POINTER_PATTERN = re.compile(r"/meshes/(\d+)/weights(?:/(\d+))?$")
 

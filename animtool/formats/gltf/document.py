@@ -16,20 +16,22 @@ from animtool.formats.gltf.animations import Animation, read_animations
 from animtool.formats.gltf.container import Container, read_container
 from animtool.formats.gltf.json_items import JsonItem, escape_pointer, is_number
 from animtool.formats.gltf.meshes import (
-    QUANTIZATION,
+    QUANTIZATION_EXTENSION,
     GltfMesh,
     Primitive,
     read_meshes,
     read_skin_weights,
     read_skins,
 )
-from animtool.formats.gltf.nodes import VISIBILITY, read_nodes, read_scenes
+from animtool.formats.gltf.nodes import VISIBILITY_EXTENSION, read_nodes, read_scenes
 from animtool.formats.gltf.unused import find_unused_indices
 
 # Required extensions that are supported.
-SUPPORTED_EXTENSIONS = frozenset({QUANTIZATION, POINTER_EXTENSION, VISIBILITY})
+SUPPORTED_EXTENSIONS = frozenset(
+    {QUANTIZATION_EXTENSION, POINTER_EXTENSION, VISIBILITY_EXTENSION}
+)
 # Extensions that must be listed as required if they are used.
-REQUIRED_EXTENSIONS = frozenset({QUANTIZATION})
+REQUIRED_EXTENSIONS = frozenset({QUANTIZATION_EXTENSION})
 # Extensions for appearance only, which motion does not need.
 APPEARANCE_PREFIXES = (
     "KHR_materials_",

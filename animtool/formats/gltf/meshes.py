@@ -22,7 +22,7 @@ from animtool.formats.gltf.unused import is_known_attribute, is_supported_attrib
 
 # Component types: signed and unsigned 8 and 16 bits, unsigned 32.
 I8, U8, I16, U16, U32 = 5120, 5121, 5122, 5123, 5125
-QUANTIZATION = "KHR_mesh_quantization"
+QUANTIZATION_EXTENSION = "KHR_mesh_quantization"
 QUANTIZED_TYPES = (FLOAT_COMPONENT, I8, U8, I16, U16)
 TRIANGLES, STRIP, FAN = 4, 5, 6
 # Tolerance of a vertex's weight sum [1]: float32 rounding is smaller, and integers are
@@ -223,8 +223,8 @@ def _require_accessor(
     is_integer = accessor.component_type != FLOAT_COMPONENT
     is_quantized = component_types is QUANTIZED_TYPES and is_integer
     declared_extensions = accessors.container.json_root.values.get("extensionsUsed", ())
-    if is_quantized and QUANTIZATION not in declared_extensions:
-        message = f"{key} are integers, and {QUANTIZATION} is not declared"
+    if is_quantized and QUANTIZATION_EXTENSION not in declared_extensions:
+        message = f"{key} are integers, and {QUANTIZATION_EXTENSION} is not declared"
         item.diagnostics.warn("GLT106", item.pointer_to(key), message)
     if accessors.has_data(index):
         accessors.numbers(index)

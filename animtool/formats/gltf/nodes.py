@@ -16,7 +16,7 @@ from animtool.rig.skeleton import Quaternion
 # Tolerance of a quaternion's length, as in the reference validator, and of a matrix
 # decomposed to translation, rotation and scale [1].
 UNIT_TOLERANCE, SHEAR_TOLERANCE = 7.69e-3, 1e-4
-VISIBILITY = "KHR_node_visibility"
+VISIBILITY_EXTENSION = "KHR_node_visibility"
 MAX_NODES = 200_000
 _TRANSFORM_KEYS = {"matrix", "translation", "rotation", "scale"}
 _TRS_PROPERTIES = (("translation", 3), ("rotation", 4), ("scale", 3))
@@ -78,7 +78,7 @@ def _read_node(
                 item.diagnostics.warn("GLT106", item.pointer_to(key), message)
         skin, weights = -1, None
     translation, rotation, scale, has_matrix = _read_transform(item)
-    visibility = item.extension(VISIBILITY)
+    visibility = item.extension(VISIBILITY_EXTENSION)
     is_visible = not visibility or visibility.values.get("visible") is not False
     return Node(
         item.text("name"),
@@ -133,13 +133,13 @@ def _decompose_matrix(
     if np.abs(matrix[3] - [0, 0, 0, 1]).max() > SHEAR_TOLERANCE:
         diagnostics.fail("GLT010", pointer, "the last row of the matrix is not 0 0 0 1")
     linear = matrix[:3, :3]
-    magnitude = float(np.abs(linear).max())
-    if not magnitude or abs(np.linalg.det(linear / magnitude)) < 1e-12:
+    max_magnitude = float(np.abs(linear).max())
+    if not max_magnitude or abs(np.linalg.det(linear / max_magnitude)) < 1e-12:
         diagnostics.fail("GLT010", pointer, "the matrix is singular")
-    unit_rotation, scale = so3.split_scale(linear[None] / magnitude)
-    rotation, lengths = unit_rotation[0], scale[0] * magnitude
+    unit_rotation, scale = so3.split_scale(linear[None] / max_magnitude)
+    rotation, lengths = unit_rotation[0], scale[0] * max_magnitude
     rigid_linear = so3.to_matrix(rotation) * lengths
-    shear = float(np.abs(rigid_linear - linear).max()) / magnitude
+    shear = float(np.abs(rigid_linear - linear).max()) / max_magnitude
     if shear > SHEAR_TOLERANCE:
         message = f"the shear of the matrix, {shear:.3g} of its size, is ignored"
         diagnostics.warn("GLT103", pointer, message)

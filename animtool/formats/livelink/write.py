@@ -85,8 +85,8 @@ def _head_and_eye_angles(take: Take) -> FloatArray:
         joint = joints.get(JOINTS_BY_PART[part])
         if joint is None:
             continue
-        local = take.motion.rotations.gather(np.array([joint]))[:, 0]
-        rotations = align_signs(face_rotations(take.rig, joint, local))
+        local_rotations = take.motion.rotations.gather(np.array([joint]))[:, 0]
+        rotations = align_signs(face_rotations(take.rig, joint, local_rotations))
         angles[:, 3 * k : 3 * k + 3] = np.radians(from_quaternion(rotations, "YXZ"))
     return angles
 

@@ -97,7 +97,7 @@ std::vector<Collider> read_colliders(const ColliderArrays& arrays) {
     c.shape = static_cast<collide::Shape>(kind[0]);
     c.is_container = kind[1] == INSIDE_ONLY;
     c.is_two_sided = kind[1] == BOTH_SIDES && c.shape == collide::Shape::MESH;
-    c.root = c.shape == collide::Shape::MESH ? static_cast<std::int32_t>(kind[2]) : 0;
+    c.mesh_root = c.shape == collide::Shape::MESH ? static_cast<std::int32_t>(kind[2]) : 0;
     c.mesh = mesh;
     std::copy_n(sizes.data() + SIZE_COUNT * i, SIZE_COUNT, c.size);
     const double* material = materials.data() + MATERIAL_COUNT * i;

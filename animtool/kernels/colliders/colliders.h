@@ -20,7 +20,7 @@ struct Collider {
   // extents. In the frame of the collider [m].
   double size[7] = {0, 1, 0, 0, 0, 0, 0};
   Mesh mesh = {};
-  std::int32_t root = 0;
+  std::int32_t mesh_root = 0;  // root node of the bounding boxes of the mesh
   Motion motion;
   // Particles are kept inside instead of outside.
   bool is_container = false;
@@ -85,7 +85,7 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
       break;
     case Shape::MESH:
       // Farther away it is unknown whether the particle is inside.
-      nearest_hit = sample_mesh(c.mesh, c.root, p,
+      nearest_hit = sample_mesh(c.mesh, c.mesh_root, p,
                                 c.is_container ? INF : max_distance + contact_distance(c, radius));
       if (c.is_two_sided) nearest_hit = unsigned_sample(nearest_hit);
       break;
@@ -100,7 +100,7 @@ inline Sample sample(const Collider& c, const Pose& pose, Vec point, double radi
 // crossed a two-sided mesh in between, it is inside.
 inline Sample sample_after_crossing(const Collider& c, Vec earlier_point, const Pose& pose,
                                     Vec point, double radius, double max_distance) {
-  if (!c.is_two_sided || !changes_side(c.mesh, c.root, earlier_point, pose.to_local(point)))
+  if (!c.is_two_sided || !changes_side(c.mesh, c.mesh_root, earlier_point, pose.to_local(point)))
     return sample(c, pose, point, radius, max_distance);
   const Sample nearest_hit = sample(c, pose, point, radius, INF);
   const double clearance = contact_distance(c, radius);
@@ -170,7 +170,7 @@ class ParticleContacts {
   bool is_beyond_box(const Collider& c, const Pose& pose, double max_distance) const {
     const double limit = max_distance + contact_distance(c, radius_);
     const Vec local = pose.to_local(path_.position);
-    return squared_box_distance(local, c.mesh.bounds + 6 * c.root) >= limit * limit;
+    return squared_box_distance(local, c.mesh.bounds + 6 * c.mesh_root) >= limit * limit;
   }
 
   // The path between two states, with constant acceleration.
@@ -257,7 +257,7 @@ class ParticleContacts {
   }
 
   bool crosses_between(const Collider& c, double from, double to) const {
-    return changes_side(c.mesh, c.root, local_at(c, from), local_at(c, to));
+    return changes_side(c.mesh, c.mesh_root, local_at(c, from), local_at(c, to));
   }
 
   // The last time before the path crosses a mesh, in an interval in which it does.

@@ -135,9 +135,9 @@ void solve_quickly(const Cubic& time, const double* x, double* u, std::size_t n)
     // derivative).
     const double error_bound =
         step * step * (second_derivative * second_derivative + 4 * derivative * std::fabs(time.p3));
-    const bool is_close =
+    const bool has_converged =
         error_bound <= 1e-11 * derivative * derivative && std::fabs(step) <= 1e-5 * previous;
-    u[i] = is_close ? previous - step : NAN;
+    u[i] = has_converged ? previous - step : NAN;
   }
 }
 

@@ -139,12 +139,13 @@ void find_nodes(const Blocks& blocks, const int* node, int x, int y, std::size_t
   const int right = node[0] + x, up = node[1] + y;
   const std::size_t first_block = static_cast<std::size_t>((right >> 2) * 4 + (up >> 2) * 2);
   const std::size_t node_in_block = static_cast<std::size_t>(((right & 3) * 4 + (up & 3)) * 4);
-  const std::size_t near_block = 64 * static_cast<std::size_t>(blocks[first_block]) + node_in_block;
-  const std::size_t far_block =
+  const std::size_t near_offset =
+      64 * static_cast<std::size_t>(blocks[first_block]) + node_in_block;
+  const std::size_t far_offset =
       64 * static_cast<std::size_t>(blocks[first_block + 1]) + node_in_block;
   for (int z = 0; z < 4; ++z) {
     const int depth = node[2] + z;
-    nodes[z] = (depth < 4 ? near_block : far_block) + static_cast<std::size_t>(depth & 3);
+    nodes[z] = (depth < 4 ? near_offset : far_offset) + static_cast<std::size_t>(depth & 3);
   }
 }
 

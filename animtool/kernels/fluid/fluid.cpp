@@ -409,13 +409,13 @@ class FluidStepper {
     }
     const double full_density = walls().full_density() * scale;
     for (std::size_t k = first; k < last; ++k) {
-      double other_density = full_density;
+      double unfilled_density = full_density;
       for (std::size_t m = first; m < last; ++m)
-        if (m != k) other_density *= 1 - contacts_[m].contribution.fraction;
+        if (m != k) unfilled_density *= 1 - contacts_[m].contribution.fraction;
       Vec& wall_gradient = contacts_[k].contribution.gradient;
-      wall_gradient = wall_gradient * other_density;
+      wall_gradient = wall_gradient * unfilled_density;
       contacts_[k].contribution.pressing_gradient =
-          contacts_[k].contribution.pressing_gradient * other_density;
+          contacts_[k].contribution.pressing_gradient * unfilled_density;
       gradient.x += wall_gradient.x, gradient.y += wall_gradient.y, gradient.z += wall_gradient.z;
       gradient.w += dot(wall_gradient, wall_gradient);
     }

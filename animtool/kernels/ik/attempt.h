@@ -35,7 +35,7 @@ inline void sample_pose(const Chain& chain, const double* reference_pose, Random
     if (node.is_driven) continue;
     double* values = q + node.coordinate;
     const double* limit = node.limit;
-    const double middle = reference_pose[node.coordinate];
+    const double reference = reference_pose[node.coordinate];
     if (node.kind == Kind::BALL) {
       SwingTwist swing_twist;
       const double radius = std::sqrt(random.uniform(0, 1));
@@ -50,7 +50,8 @@ inline void sample_pose(const Chain& chain, const double* reference_pose, Random
       values[0] = random.uniform(limit[0], limit[1]);
     } else {
       const double half_range = node.kind == Kind::PIN ? REVOLUTION / 2 : 1;
-      values[0] = std::clamp(middle + random.uniform(-half_range, half_range), limit[0], limit[1]);
+      values[0] =
+          std::clamp(reference + random.uniform(-half_range, half_range), limit[0], limit[1]);
     }
   }
 }

@@ -430,8 +430,8 @@ void Core::detect_box() {
 }
 
 Axis separating_axis(const PosedCore& a, const PosedCore& b, double max_gap) {
-  const double size = std::min(a.core->bounding_radius, b.core->bounding_radius);
-  const double preference_margin = FACE_PREFERENCE_RATIO * size;
+  const double min_bounding_radius = std::min(a.core->bounding_radius, b.core->bounding_radius);
+  const double preference_margin = FACE_PREFERENCE_RATIO * min_bounding_radius;
   if (a.core->is_box && b.core->is_box) return separating_boxes(a, b, max_gap, preference_margin);
   Axis best_axis;
   update_best_face_axis(a, b, true, 0, max_gap, best_axis);

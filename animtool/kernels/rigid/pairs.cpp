@@ -285,8 +285,8 @@ class ContactFinder {
     const std::size_t a = world_.shapes[i].body;
     const bool is_collider = j >= shape_count();
     const std::size_t b = is_collider ? 0 : world_.shapes[j].body;
-    const double size = std::min(p.core->bounding_radius, q.core->bounding_radius),
-                 contact_margin = CONTACT_MARGIN_RATIO * size;
+    const double min_bounding_radius = std::min(p.core->bounding_radius, q.core->bounding_radius),
+                 contact_margin = CONTACT_MARGIN_RATIO * min_bounding_radius;
     const collide::Motion* motion =
         is_collider ? &colliders_[box_owners_[j] - shape_count()].motion : nullptr;
     const Vec other_velocity =
@@ -306,13 +306,14 @@ class ContactFinder {
     contact.motion = motion;
     contact.radius = p.core->radius, contact.other_radius = q.core->radius;
     // Near or slow pairs are tested at the start; distant and fast ones at their arrival.
-    if (gap <= contact_margin + std::min(max_displacement, size * ARRIVAL_TOLERANCE)) {
+    if (gap <=
+        contact_margin + std::min(max_displacement, min_bounding_radius * ARRIVAL_TOLERANCE)) {
       const Manifold manifold = find_manifold(p, q, contact_margin + max_displacement);
       contact.set_manifold(manifold, body_poses_[a],
                            is_collider ? motion->pose_at(0) : body_poses_[b]);
     } else {
-      advance_to_impact(p, q, a, b, motion, contact, gap, axis, displacement, rotation_bound, size,
-                        max_displacement);
+      advance_to_impact(p, q, a, b, motion, contact, gap, axis, displacement, rotation_bound,
+                        min_bounding_radius, max_displacement);
     }
     if (!contact.count) return;
     contact.first_shape = i, contact.second_shape = static_cast<std::int64_t>(box_owners_[j]);
@@ -336,9 +337,10 @@ class ContactFinder {
   // "Impulse-based dynamic simulation").
   void advance_to_impact(const PosedCore& p, const PosedCore& q, std::size_t a, std::size_t b,
                          const collide::Motion* motion, Contact& contact, double gap, Axis axis,
-                         Vec displacement, double rotation_bound, double size,
+                         Vec displacement, double rotation_bound, double min_bounding_radius,
                          double max_displacement) {
-    const double tolerance = ARRIVAL_TOLERANCE * size, radius_sum = p.core->radius + q.core->radius;
+    const double tolerance = ARRIVAL_TOLERANCE * min_bounding_radius,
+                 radius_sum = p.core->radius + q.core->radius;
     Pose pose_a, pose_b;
     double fraction = 0;
     for (int i = 0; i < MAX_ADVANCES; ++i) {
@@ -354,8 +356,8 @@ class ContactFinder {
       gap = axis.gap - radius_sum;
       if (gap <= tolerance) break;
     }
-    const double max_gap =
-        std::max(gap, 0.0) + CONTACT_MARGIN_RATIO * size + max_displacement * (1 - fraction);
+    const double max_gap = std::max(gap, 0.0) + CONTACT_MARGIN_RATIO * min_bounding_radius +
+                           max_displacement * (1 - fraction);
     contact.set_manifold(find_manifold(advanced_core_a_.get(), advanced_core_b_.get(), max_gap),
                          pose_a, pose_b);
   }
@@ -448,7 +450,7 @@ class ContactFinder {
     const double r = p.core->radius + max_gap;
     const std::size_t previous_count = contacts_.size();
     bool is_behind_some_triangle = false;
-    collide::visit_overlapping(mesh, collider.root, local_box.low - Vec{r, r, r},
+    collide::visit_overlapping(mesh, collider.mesh_root, local_box.low - Vec{r, r, r},
                                local_box.high + Vec{r, r, r}, [&](std::int32_t t) {
                                  is_behind_some_triangle |=
                                      !collide_triangle(s, c, t, pose, max_gap);

@@ -227,7 +227,7 @@ void SpringContacts::build_patches(std::size_t particles) {
     if (!is_rigid)
       box = surfaces_[c - colliders_.size()].box();
     else if (colliders_[c].shape == Shape::MESH)
-      box = colliders_[c].mesh.bounds + 6 * colliders_[c].root;
+      box = colliders_[c].mesh.bounds + 6 * colliders_[c].mesh_root;
     patch_indices_.push_back(box ? static_cast<std::int32_t>(patches_.size()) : -1);
     if (box)
       patches_.emplace_back(
@@ -448,7 +448,7 @@ SpringContacts::PatchHit SpringContacts::query(std::size_t index, std::size_t n,
   }
   auto& patches = patches_[static_cast<std::size_t>(patch_indices_[index])];
   PatchHit hit =
-      patches.query(mesh, c.collider.root, n, pose.to_local(point), motion,
+      patches.query(mesh, c.collider.mesh_root, n, pose.to_local(point), motion,
                     motion.knot < 0 ? nullptr : &boxes, contact_distance, !c.collider.is_container);
   if (c.collider.is_two_sided) hit.sample = collide::unsigned_sample(hit.sample);
   const Vec out = pose.rotate(hit.sample.normal) * side;
@@ -542,7 +542,7 @@ void SpringContacts::flip_if_crossed(const StepCollider& c, Vec from, Vec to, Sa
   const double clearance = collide::contact_distance(c.collider, colliders_.radius());
   const Vec before = c.begin.to_local(from), after = c.end.to_local(to);
   if (hit.distance + clearance > length(after - before)) return;
-  if (!collide::changes_side(c.collider.mesh, c.collider.root, before, after)) return;
+  if (!collide::changes_side(c.collider.mesh, c.collider.mesh_root, before, after)) return;
   hit = {-(hit.distance + clearance) - clearance, -hit.normal};
 }
 

@@ -76,7 +76,7 @@ FineFeatures mesh_features(const Collider& c, double longest_edge, double distan
   std::int32_t triangles = 0;
   const Vec infinite_extent{collide::INF, collide::INF, collide::INF};
   collide::visit_overlapping(
-      c.mesh, c.root, -infinite_extent, infinite_extent, [&](std::int32_t t) {
+      c.mesh, c.mesh_root, -infinite_extent, infinite_extent, [&](std::int32_t t) {
         triangles = std::max(triangles, t + 1);
         for (std::int32_t side = 0; side < 3; ++side) {
           if (!(curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge))
@@ -167,7 +167,7 @@ bool FaceContacts::resolve(std::size_t index, const StepCollider& c, double h,
   moved_particles.clear();
   if (index >= features_.size()) return false;
   FineFeatures& features = features_[index];
-  if (!features.is_built && is_near(c, near_particles, state))
+  if (!features.is_built && may_touch_any(c, near_particles, state))
     features = collider_features(c.collider, radius_, network_.longest_edge);
   if (!features.has_points()) return false;
   if (!collect_elements(features, c, near_particles, state)) return false;
@@ -207,14 +207,15 @@ static bool may_touch(const FineFeatures& features, const Collider& c, Vec p, do
     return near_faces >= 2;
   }
   if (c.shape == Shape::MESH)
-    return collide::squared_box_distance(p, c.mesh.bounds + 6 * c.root) <=
+    return collide::squared_box_distance(p, c.mesh.bounds + 6 * c.mesh_root) <=
            max_distance * max_distance;
   const Vec a = features.points.front(), b = features.points.back();
   return boxes_overlap(p, p, min_of(a, b), max_of(a, b), max_distance);
 }
 
-bool FaceContacts::is_near(const StepCollider& c, const std::vector<std::int32_t>& near_particles,
-                           const StepState& state) const {
+bool FaceContacts::may_touch_any(const StepCollider& c,
+                                 const std::vector<std::int32_t>& near_particles,
+                                 const StepState& state) const {
   const double max_distance = search_distance_ + collide::contact_distance(c.collider, radius_);
   return std::any_of(near_particles.begin(), near_particles.end(), [&](std::int32_t n) {
     const Vec start = c.begin.to_local(position_of(state.before.data(), n));
@@ -260,8 +261,8 @@ bool FaceContacts::collect_elements(const FineFeatures& features, const StepColl
   return true;
 }
 
-std::int32_t FaceContacts::slot_of(std::int32_t particle, const StepCollider& c,
-                                   const StepState& state) {
+std::int32_t FaceContacts::find_or_add_slot(std::int32_t particle, const StepCollider& c,
+                                            const StepState& state) {
   std::int32_t& entry = slot_of_particle_[static_cast<std::size_t>(particle)];
   if (entry >= 0) return entry;
   entry = static_cast<std::int32_t>(particle_of_slot_.size());
@@ -279,7 +280,7 @@ void FaceContacts::add_element(const std::int32_t* corners, int count, const Ste
                                const StepState& state) {
   Element element{{}, count, {}, {}};
   for (int k = 0; k < count; ++k)
-    element.corners[static_cast<std::size_t>(k)] = slot_of(corners[k], c, state);
+    element.corners[static_cast<std::size_t>(k)] = find_or_add_slot(corners[k], c, state);
   elements_.push_back(element);
 }
 
@@ -323,7 +324,7 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
     const Vec margin{features.radius, features.radius, features.radius};
     const std::size_t first = element.count == 2 ? 0 : 3;
     feature_indices.clear();
-    collide::visit_overlapping(c.collider.mesh, c.collider.root, element.low - margin,
+    collide::visit_overlapping(c.collider.mesh, c.collider.mesh_root, element.low - margin,
                                element.high + margin, [&](std::int32_t t) {
                                  const auto& entry =
                                      features.triangle_features[static_cast<std::size_t>(t)];

@@ -69,13 +69,14 @@ class FaceContacts {
   };
 
   // Whether an element near some particles may touch a mesh.
-  bool is_near(const StepCollider& c, const std::vector<std::int32_t>& near_particles,
-               const StepState& state) const;
+  bool may_touch_any(const StepCollider& c, const std::vector<std::int32_t>& near_particles,
+                     const StepState& state) const;
   // Collects the elements near a collider, in its frame; returns whether there are any.
   bool collect_elements(const FineFeatures& features, const StepCollider& c,
                         const std::vector<std::int32_t>& near_particles, const StepState& state);
-  // Index of a particle in the rows of this step; adds it if it is new.
-  std::int32_t slot_of(std::int32_t particle, const StepCollider& c, const StepState& state);
+  // Returns the slot of a particle in this step; adds it if it is new.
+  std::int32_t find_or_add_slot(std::int32_t particle, const StepCollider& c,
+                                const StepState& state);
   void add_element(const std::int32_t* corners, int count, const StepCollider& c,
                    const StepState& state);
   // Finds contacts that are possible in the step, at the current positions.

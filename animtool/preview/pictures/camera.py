@@ -49,7 +49,7 @@ class Bounds:
             self.low = np.minimum(self.low, points.min(axis=0))
             self.high = np.maximum(self.high, points.max(axis=0))
 
-    def join(self, other: Bounds, shift: FloatArray | float = 0.0) -> None:
+    def union_with(self, other: Bounds, shift: FloatArray | float = 0.0) -> None:
         """Grow to contain other bounds, shifted by an offset [m]."""
         if not other.is_empty:
             self.add(np.stack([other.low, other.high]) + shift)

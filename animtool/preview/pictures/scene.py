@@ -156,13 +156,13 @@ class SceneRenderer:
                 characters.add(pose.positions)
         for mesh in self._meshes:
             mesh.grow_bounds(characters if mesh.is_skinned else bounds)
-        bounds.join(characters)
+        bounds.union_with(characters)
         drawn_objects: list[InstanceRenderer | PointRenderer | StrandRenderer]
         drawn_objects = [*self._instances, *self._points, *self._strands]
         for drawable in drawn_objects:
             drawable.grow_bounds(bounds)
-        character_bounds.join(characters, shift)
-        framed_bounds.join(bounds, shift)
+        character_bounds.union_with(characters, shift)
+        framed_bounds.union_with(bounds, shift)
         if (
             not character_bounds.is_empty
             and framed_bounds.radius > MAX_STAGE_RATIO * character_bounds.radius

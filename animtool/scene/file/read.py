@@ -97,7 +97,7 @@ def parse_scene(
     output_folders = [path for name, path in folders.items() if name not in parts]
     reader = _SceneReader(document, model, list(folders.values()), output_folders)
     scene = replace(
-        reader.scene(),
+        reader.read_scene(),
         variables=resolved_variables.names,
         unused_variables=resolved_variables.unused_names,
         effective_variables=resolved_variables.effective_names,
@@ -174,7 +174,7 @@ class _SceneReader:
         self.output_roots = (*roots, *output_folders)
         self.units = SceneUnits.from_names(model.units.length, model.units.angle)
 
-    def scene(self) -> Scene:
+    def read_scene(self) -> Scene:
         model = self.model
         rig = None if model.rig is None else self.reader.read_file(("rig",), model.rig)
         pass_reader = _PassReader(self.reader, self.output_roots, self.units)

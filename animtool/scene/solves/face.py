@@ -348,9 +348,11 @@ def _mirror_warnings(
     error, mirrored_error = errors
     if mirrored_error > MAX_MIRRORED_RATIO * error:
         return []
-    unit_text = pixels_text if camera is not None else length_text
-    message = f"landmarks fit the face within {unit_text(error)}, and mirrored within "
-    message += unit_text(mirrored_error)
+    format_distance = pixels_text if camera is not None else length_text
+    message = (
+        f"landmarks fit the face within {format_distance(error)}, and mirrored within "
+    )
+    message += format_distance(mirrored_error)
     hint = "negate x of the landmarks"
     if camera is not None:
         hint = "write the width of the image minus u"

@@ -81,7 +81,7 @@ class MocapSolveResult:
         "'mocap solve' source rig outputs frames=solve.score.frames "
         "rms=solve.score.total frame_rms=solve.score.rms sparse=solve.score.sparse "
         "poor=solve.score.poor searched=solve.score.searched "
-        "markers=solve.score.markers exchanged=solve.score.exchanged "
+        "markers=solve.score.markers exchanged=solve.score.swapped "
         "missing=solve.match.missing unused=solve.match.unused calibration seconds "
         "notices"
     )

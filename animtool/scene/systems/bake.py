@@ -54,7 +54,7 @@ if TYPE_CHECKING:
     from animtool.usd.rigs.target import RigTarget
 
 # Maps the world of a take to that of a layer's systems, at time codes.
-Displacement: TypeAlias = Callable[[FloatArray], FloatArray | None]
+PlacementAt: TypeAlias = Callable[[FloatArray], FloatArray | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ class SystemPrims:
     # Time codes to write, ascending; empty uses the take's.
     codes: tuple[Fraction, ...] = ()
     recorder: CharacterRecorder | None = None  # records the take
-    # Displacement of a layer; None is the identity.
-    displacement: Displacement | None = None
+    # Placement of a layer at time codes; None is the identity.
+    placement_at: PlacementAt | None = None
 
     def seconds(self, time_code: Fraction) -> float:
         """Return the simulation time of a time code [s]."""
@@ -103,8 +103,8 @@ class SystemPrims:
         span = FrameSpan(codes[0], codes[-1], self.job.metadata.span.fps)
         metadata = replace(self.job.metadata, span=span)
         job = replace(self.job, metadata=metadata, codes=recorder.codes)
-        if self.displacement is not None:
-            job = replace(job, placement_matrices=self.displacement(recorder.codes))
+        if self.placement_at is not None:
+            job = replace(job, placement_matrices=self.placement_at(recorder.codes))
         # If a shot begins before its take, the take's first pose is held.
         start = min(self.start, Fraction(ceil(codes[0])))
         return replace(self, job=job, start=start, codes=tuple(codes))
@@ -315,15 +315,15 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
     recorder = CharacterRecorder(
         records_motion=any(scene.path in system.setup.files for system in scene.systems)
     )
-    displacement: Displacement | None = None
+    placement_at: PlacementAt | None = None
     if target is not None:
         from animtool.usd.props.placement import parent_from_take
 
         joint_map, path = plan.takes[0].joint_map, f"{model}/system"
         rig_from_take = None if joint_map is None else joint_map.rig_from_take
-        displacement = partial(parent_from_take, target, rig_from_take, path)
+        placement_at = partial(parent_from_take, target, rig_from_take, path)
     return SystemPrims(
-        scene, job, plan.start, recorder=recorder, displacement=displacement
+        scene, job, plan.start, recorder=recorder, placement_at=placement_at
     )
 
 

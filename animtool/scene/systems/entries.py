@@ -334,8 +334,8 @@ class EntryReader:
     def _mesh(self, location: Location, values: dict[str, Any]) -> Mesh | None:
         """Return the mesh of a file's arrays; None if they are faulty."""
         keys = ["points", "triangles", "closed"]
-        unknown_keys = unknown_option_faults(values, keys, "mesh")
-        self.record_faults(location, unknown_keys)
+        key_faults = unknown_option_faults(values, keys, "mesh")
+        self.record_faults(location, key_faults)
         is_closed = values.get("closed", False)
         if not isinstance(is_closed, bool):
             message = f"must be true or false, not {value_excerpt(is_closed)}"
@@ -347,7 +347,7 @@ class EntryReader:
             )
             for key in ("points", "triangles")
         )
-        if unknown_keys or points is None or triangles is None:
+        if key_faults or points is None or triangles is None:
             return None
         indices = np.asarray(triangles, np.int64)
         return Mesh(points * self.units.length, indices, is_closed)

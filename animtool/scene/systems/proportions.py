@@ -163,16 +163,16 @@ def _pin_warnings(
     rig = characters.for_file(carrier.file).rig
     joint_size, bounds_size = _rig_sizes(rig)
     local_positions = pinned_points.local_positions(carrier.poses(characters))
-    distance = float(np.linalg.norm(local_positions, axis=-1).min(initial=np.inf))
-    if not bounds_size or distance <= bounds_size or not np.isfinite(distance):
+    min_distance = float(np.linalg.norm(local_positions, axis=-1).min(initial=np.inf))
+    if not bounds_size or min_distance <= bounds_size or not np.isfinite(min_distance):
         return
     if isinstance(carrier, JointCarrier):
         description = f"joint {carrier.joint!r}"
     else:
         description = f"vertex {carrier.vertex} of mesh {carrier.mesh!r}"
     unit = unit_name(rig.meters_per_unit)
-    message = f"the pinned end is {plain_number(distance, 4)} m from {description}, "
-    message += f"but the joints of {rig.name!r} span {plain_number(joint_size)} m"
+    message = f"the pinned end is {plain_number(min_distance, 4)} m from {description}"
+    message += f", but the joints of {rig.name!r} span {plain_number(joint_size)} m"
     hint = "place it near its pin, or give the pin an offset"
     if unit != length_unit:
         message += f"; systems use {_UNIT_NAMES[length_unit]}, this rig is in {unit}"

@@ -306,9 +306,9 @@ def _strongest_gravity(
     for galaxy in spec.galaxies:
         points.append(np.array([galaxy.at], np.float64))
         mass = sum(part.mass for part in galaxy.components)
-        radius = max((part.radius for part in galaxy.components), default=0.0)
+        max_radius = max((part.radius for part in galaxy.components), default=0.0)
         masses.append(np.array([mass]))
-        extremes += [(radius, mass / radius**2)] if radius else []
+        extremes += [(max_radius, mass / max_radius**2)] if max_radius else []
     for attractor in spec.attractors:
         points.append(np.array([attractor.at], np.float64))
         masses.append(np.array([attractor.mass]))

@@ -309,8 +309,8 @@ def _starts(kind: str, location: Location, spec: Any) -> Iterator[_EntryStart]:
                 if entry.prim or getattr(entry, "points", None):
                     continue
                 if kind == "fluid" and key == "emitters":
-                    radius = max([entry.radius or 0.0, *(entry.size or ())])
-                    shape = {"disc": {"radius": radius}}
+                    max_radius = max([entry.radius or 0.0, *(entry.size or ())])
+                    shape = {"disc": {"radius": max_radius}}
                 label = repr(entry.name) if entry.name else f"{name} {i}"
                 radius_about_origin = _shape_radius(shape or {})
                 key_location = (*location, key, i, "at")

@@ -236,7 +236,7 @@ def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:
         run.state.state, run.step_time(run.state.step_count)
     )
     known_energies = [energy for energy in energies if energy is not None]
-    is_complete = len(known_energies) == len(snapshots) and _has_constant_count(
+    is_complete = len(known_energies) == len(snapshots) and _has_constant_points(
         snapshots
     )
     stretch = last_diagnostics.stretch
@@ -258,7 +258,7 @@ def _is_fixed(method: str) -> bool:
     return not is_known or find_integrator(method).control is StepControl.FIXED
 
 
-def _has_constant_count(snapshots: Sequence[Snapshot]) -> bool:
+def _has_constant_points(snapshots: Sequence[Snapshot]) -> bool:
     """Return whether no point appears or disappears between snapshots."""
     ids = [snapshot.ids for snapshot in snapshots if snapshot.ids is not None]
     return all(np.array_equal(frame_ids, ids[0]) for frame_ids in ids)

@@ -331,11 +331,11 @@ def build_plan(
     network: MassSpringNetwork,
     settings: AttachSettings,
     down: FloatArray,
-    duration: float,
+    frame_duration: float,
 ) -> SpringPlan:
     """Return the xpbd plan of a network: its spring system, and the steps of a frame.
 
-    ``down`` is the direction of gravity ``(3,)``; the frame has a duration [s].
+    ``down`` is the direction of gravity ``(3,)``; ``frame_duration`` is in [s].
     """
     options, thickness = settings.options, self_contact_distance(network, settings)
     body = network.body(options.diagonals, settings.bend)
@@ -354,7 +354,7 @@ def build_plan(
         air=Air(wind, options.drag, options.drag / 2) if is_cloth else None,
         self_contact=SelfContact(thickness, options.friction) if thickness else None,
     )
-    min_steps = math.ceil(step_rate(network, settings) * duration - 1e-9)
+    min_steps = math.ceil(step_rate(network, settings) * frame_duration - 1e-9)
     cell_count, substeps = cells_and_substeps(max(1, min_steps))
     spring_options = SpringOptions(
         Solver.XPBD,
@@ -363,7 +363,9 @@ def build_plan(
         # The strain of stiff cloth springs is clamped too.
         clamped_strain=settings.stretch if is_cloth else 0.0,
     )
-    choice = SolverChoice(Solver.XPBD, duration / cell_count, substeps, "", math.inf)
+    choice = SolverChoice(
+        Solver.XPBD, frame_duration / cell_count, substeps, "", math.inf
+    )
     return SpringPlan(system, spring_options, choice)
 
 

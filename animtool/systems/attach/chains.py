@@ -62,17 +62,21 @@ def chain_rotations(
     relative_rotation = np.tile(so3.IDENTITY, (len(rotations), 1))
     result = np.zeros((len(rotations), len(joints), 4))
     for k, joint in enumerate(joints.tolist()):
-        animated_local = rotations[:, joint]
+        animated_rotation = rotations[:, joint]
         parent = so3.multiply(relative_rotation, world)
         animated_bone = animated_points[:, k + 1] - animated_points[:, k]
         swing = shortest_rotations(
             so3.rotate(relative_rotation, animated_bone),
             simulated_points[:, k + 1] - simulated_points[:, k],
         )
-        goal_rotation = so3.multiply(swing, so3.multiply(parent, animated_local))
-        local = so3.normalize(so3.multiply(so3.conjugate(parent), goal_rotation))
-        result[:, k] = _clamp_to_limits(rig.joints[joint], local, animated_local)
-        world = so3.multiply(world, animated_local)
+        goal_rotation = so3.multiply(swing, so3.multiply(parent, animated_rotation))
+        local_rotation = so3.normalize(
+            so3.multiply(so3.conjugate(parent), goal_rotation)
+        )
+        result[:, k] = _clamp_to_limits(
+            rig.joints[joint], local_rotation, animated_rotation
+        )
+        world = so3.multiply(world, animated_rotation)
         # World rotation of the joints so far relative to the animation.
         simulated_world = so3.multiply(parent, result[:, k])
         relative_rotation = so3.multiply(simulated_world, so3.conjugate(world))
@@ -80,11 +84,11 @@ def chain_rotations(
 
 
 def _clamp_to_limits(
-    joint: Joint, local: FloatArray, fallback: FloatArray
+    joint: Joint, local_rotation: FloatArray, fallback: FloatArray
 ) -> FloatArray:
     """Return rotations clamped to joint limits ``(F, 4)``; ``fallback`` if fixed."""
     rest_rotation = np.array(joint.rotation)
-    rotation = so3.multiply(so3.conjugate(rest_rotation), local)
+    rotation = so3.multiply(so3.conjugate(rest_rotation), local_rotation)
     if joint.type is JointType.PIN:
         projection = (rotation[:, :3] * np.array(joint.axis)).sum(axis=-1)
         angle = 2 * np.arctan2(projection, rotation[:, 3])
@@ -96,4 +100,4 @@ def _clamp_to_limits(
         return fallback
     if isinstance(joint.limits, BallLimit):
         return so3.multiply(rest_rotation, joint.limits.clamped(rotation))
-    return local
+    return local_rotation

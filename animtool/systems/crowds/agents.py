@@ -116,9 +116,9 @@ def _separate_at_start(
     Agents whose positions are from a file are reported.
     """
     count, points, overlap = len(agents), agents.start_points, np.inf
-    radius = float(agents.radii.max(initial=1.0))
+    max_radius = float(agents.radii.max(initial=1.0))
     for _ in range(SEPARATION_ROUNDS):
-        if overlap <= OVERLAP_TOLERANCE * radius:
+        if overlap <= OVERLAP_TOLERANCE * max_radius:
             break
         previous_points = points
         no_walls = np.zeros(count + 1, np.int32), np.zeros((0, 4))
@@ -134,7 +134,7 @@ def _separate_at_start(
         message += f"other, {agents.label(int(np.argmax(is_moved)))} first: moved "
         message += f"apart by up to {distances.max():.3g} m"
         faults.append(warning("SIM147", message, "place them farther apart"))
-    if overlap > OVERLAP_TOLERANCE * radius:
+    if overlap > OVERLAP_TOLERANCE * max_radius:
         faults.append(_crowded_warning(agents, distances))
     return replace(agents, start_points=points), faults
 

@@ -157,7 +157,7 @@ def clear_starts(
         is_off_grid = is_blocked(grid, positions)
         nodes = grid.node_positions(grid.nearest_free_node(positions))
         positions = np.where(is_off_grid[:, None], nodes, positions)
-    radius = float(agents.radii.max(initial=1.0))
+    max_radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_CLEARING_PASSES):
         walls = obstacles.walls(begin, 0.0, positions)
         if not (walls.gaps < 0).any() and (positions == agents.start_points).all():
@@ -166,7 +166,10 @@ def clear_starts(
         positions, _ = separate_agents(
             agents, positions, walls.first_walls, walls.half_planes
         )
-        if np.abs(positions - previous).max(initial=0.0) <= OVERLAP_TOLERANCE * radius:
+        if (
+            np.abs(positions - previous).max(initial=0.0)
+            <= OVERLAP_TOLERANCE * max_radius
+        ):
             break
     distances = np.linalg.norm(positions - agents.start_points, axis=1)
     is_moved = distances > OVERLAP_TOLERANCE * agents.radii
@@ -186,19 +189,19 @@ def _goal_obstacle(
     Nodes deep inside a low obstacle count as free, since the nearest face is its top.
     """
     depths = obstacles.collider_depths(t, position)
-    depth = float(depths.max(initial=-np.inf))
-    if depth > 0:
+    max_depth = float(depths.max(initial=-np.inf))
+    if max_depth > 0:
         name = obstacles.colliders.label(int(depths.argmax()))
-        problem = f"inside the collider {name}, {length_text(depth, 2)} deep"
+        problem = f"inside the collider {name}, {length_text(max_depth, 2)} deep"
         return problem, "move the goal or the collider"
     if not is_blocked(grid, position)[0]:
         return None
-    radius = float(obstacles.agents.radii.max(initial=0.0))
-    if -depth > radius:
+    max_radius = float(obstacles.agents.radii.max(initial=0.0))
+    if -max_depth > max_radius:
         return "off the ground, or on a slope that is too steep", "move the goal"
     name = obstacles.colliders.label(int(depths.argmax()))
-    problem = f"{length_text(-depth, 2)} from the collider {name}, nearer than the "
-    return f"{problem}radius of agents, {length_text(radius)}", "move the goal"
+    problem = f"{length_text(-max_depth, 2)} from the collider {name}, nearer than the "
+    return f"{problem}radius of agents, {length_text(max_radius)}", "move the goal"
 
 
 def _nearest_reachable(

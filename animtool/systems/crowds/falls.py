@@ -188,7 +188,7 @@ class FallSimulator:
         state = replace(simulation.initial(), motion=np.ascontiguousarray(motion))
         frame = simulation.frame(state, 0.0)
         count = len(rig.joints)
-        local = _local_rotations(rig, falls.turns[row, :count])
+        initial_rotations = _local_rotations(rig, falls.turns[row, :count])
         has_parent = rig.parents >= 0
         translations = rig.rest_translations.copy()
         translations[~has_parent] = falls.positions[row, :count][~has_parent]
@@ -197,7 +197,7 @@ class FallSimulator:
             frame.points[None],
             frame.rotations[None],
             translations[None],
-            local[None],
+            initial_rotations[None],
         )
         return local_translations[0], clamp_to_limits(rig, local_rotations[0])
 

@@ -115,10 +115,10 @@ class Obstacles:
         It is that of the largest agent's axis [m], negative outside. Moving colliders,
         which block no paths, have minus infinity.
         """
-        radius = float(self.agents.radii.max(initial=0.0))
-        height = float(self.agents.heights.max(initial=radius))
+        max_radius = float(self.agents.radii.max(initial=0.0))
+        max_height = float(self.agents.heights.max(initial=max_radius))
         base = float(sample_ground(self.ground, position)[0][0])
-        low, high = base + radius, base + max(height - radius, radius)
+        low, high = base + max_radius, base + max(max_height - max_radius, max_radius)
         x, z = position[0]
         points = np.array([[x, y, z] for y in (low, (low + high) / 2, high)])
         if not len(self.colliders):
@@ -247,13 +247,13 @@ def navigation_grids(
     if static_obstacles:
         static_colliders, heights = Colliders(static_obstacles), ground_heights.ravel()
         free_nodes = np.flatnonzero(is_free)
-        height = float(agents.heights.max(initial=radius))
+        max_height = float(agents.heights.max(initial=radius))
         for first in range(0, len(free_nodes), SAMPLE_BLOCK):
             block = free_nodes[first : first + SAMPLE_BLOCK]
             ones, is_clear = np.ones(len(block)), np.ones(len(block), bool)
             for distances, _, _ in capsule_distances(
                 static_colliders, frame, nodes[block], heights[block],
-                radius * ones, height * ones, t, 0.0,
+                radius * ones, max_height * ones, t, 0.0,
             ):  # fmt: skip
                 # Gaps narrower than an agent are blocked.
                 is_clear &= distances >= radius - cell / 2

@@ -141,9 +141,8 @@ class ContactMeter:
                 points, surface.triangles, [*solids, *open_surfaces]
             )
             first_corner = int(surface.triangles[0, 0])
-            count = float(pair_count)
             self.pierced = self._larger_peak(
-                self.pierced, count, frame, points, first_corner
+                self.pierced, float(pair_count), frame, points, first_corner
             )
         if len(surface.rest_lengths):
             strains = np.abs(surface.lengths(points) / surface.rest_lengths - 1)

@@ -277,11 +277,11 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         return RECOMMENDED_STEP / max(self._max_frequency * self._time_scale, 1e-300)
 
     def _potential(self, state: MoleculeState, t: float) -> float:
-        internal_energy = (
+        interaction_energy = (
             float(state.acting.energies.sum()) + self._interactions.self_energy()
         )
         external_energies = self.external_accelerations(t, state.motion[0])[1]
-        return internal_energy + float(external_energies.sum())
+        return interaction_energy + float(external_energies.sum())
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
         x, v = motion

@@ -89,7 +89,10 @@ class Ragdoll:
 
 
 def build_ragdoll(rig: Rig, world: WorldTransforms, options: RagdollOptions) -> Ragdoll:
-    """Return the bodies of a rig in the pose of one frame; raise SIM062."""
+    """Return the ragdoll of a rig posed as in one frame.
+
+    Raises OptionError (SIM062) if no ragdoll can be built from the rig.
+    """
     capsules = JointCapsules.from_rig(rig)
     if not len(capsules):
         message = f"no joint of {rig.name!r} has colliders: nothing can fall"
@@ -115,7 +118,7 @@ def _body_kinds(
     joints: IntArray,
     options: RagdollOptions,
 ) -> list[BodyKind]:
-    """Return the shapes and mass properties of each joint's body; raise SIM062."""
+    """Return the body kind of each joint; raise SIM062 if a capsule has no radius."""
     _, ends = capsules.joint_poses_and_ends(world)
     radii = capsules.world_radii(world)
     kinds: list[BodyKind] = []

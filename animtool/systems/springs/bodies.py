@@ -219,8 +219,8 @@ def _area_fractions(
         points[next_corners] - centres[face_of_corner],
     )
     areas = np.linalg.norm(np.add.reduceat(cross_products, starts), axis=1) / 2
-    size = np.ptp(points, axis=0).max()
-    areas[areas <= 1e-12 * size * size] = 0.0
+    max_size = np.ptp(points, axis=0).max()
+    areas[areas <= 1e-12 * max_size * max_size] = 0.0
     fractions = _corner_fractions(areas, counts, indices, len(points))
     return fractions, np.flatnonzero(areas == 0)
 
@@ -324,8 +324,8 @@ def _volume_fractions(points: FloatArray, cells: IntArray) -> FloatArray:
     """Return each point's fraction of the total volume ``(N,)``."""
     edge_vectors = points[cells[:, 1:]] - points[cells[:, :1]]
     volumes = np.abs(np.linalg.det(edge_vectors))
-    size = np.ptp(points, axis=0).max()
-    volumes[volumes <= 1e-12 * size**3] = 0.0
+    max_size = np.ptp(points, axis=0).max()
+    volumes[volumes <= 1e-12 * max_size**3] = 0.0
     corners = np.full(len(cells), 4)
     return _corner_fractions(volumes, corners, cells.ravel(), len(points))
 

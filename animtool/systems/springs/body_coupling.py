@@ -65,8 +65,8 @@ class BodyCoupling:
         for attachment in self.attachments:
             carrier = self.carriers[attachment.carrier]
             system = carrier.system.shared
-            is_body = system.dynamic_indices == attachment.body
-            mass = float(carrier.masses[is_body].min(initial=np.inf))
+            is_carrier = system.dynamic_indices == attachment.body
+            mass = float(carrier.masses[is_carrier].min(initial=np.inf))
             masses.append((mass, system.names[attachment.body]))
         mass, name = min(masses)
         return None if mass == np.inf else (name, mass)
@@ -161,12 +161,12 @@ class CoupledCell:
                     continue
                 centre, inverse_inertia = (rows[index] for rows in step.inertias)
                 points = np.concatenate([self._positions[i] for i in indices])
-                radius = float(np.linalg.norm(points - centre, axis=1).max())
+                max_radius = float(np.linalg.norm(points - centre, axis=1).max())
                 mass = float(carriers[k].masses[index])
                 inertia = np.linalg.pinv(inverse_inertia, hermitian=True)
-                radius = max(radius, self._coupling.spring_length)
+                max_radius = max(max_radius, self._coupling.spring_length)
                 yield _SolvedBody(
-                    k, index, indices, mass, inertia, inverse_inertia, radius
+                    k, index, indices, mass, inertia, inverse_inertia, max_radius
                 )
 
     @property

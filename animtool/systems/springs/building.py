@@ -95,8 +95,8 @@ class _SystemBuilder:
             for pin, poses in pins:
                 if pin.model.stiffness is None:
                     pinned_points[pin.particles] = pin.start(poses, points, begin)
-            gap = float(np.linalg.norm(pinned_points - points, axis=1).max())
-            self._warn_gap("pins hold particles", gap)
+            max_gap = float(np.linalg.norm(pinned_points - points, axis=1).max())
+            self._warn_gap("pins hold particles", max_gap)
             # With several entries, wind acts on the faces of those that request it.
             has_wind = not any_uses_faces or _uses_faces(entry)
             triangles = body.triangles if has_wind else body.triangles[:0]

@@ -129,9 +129,9 @@ def max_speed_and_travel(path: TimedPositions) -> tuple[float, float]:
     """Return the maximum speed of a path [m/s] and distance from its start [m]."""
     times, positions = path
     steps = np.linalg.norm(np.diff(positions, axis=0), axis=2)
-    speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
+    max_speed = float((steps / np.diff(times)[:, None]).max(initial=0.0))
     distances = np.linalg.norm(positions - positions[:1], axis=2)
-    return speed, float(distances.max(initial=0.0))
+    return max_speed, float(distances.max(initial=0.0))
 
 
 class Teleports:

@@ -251,15 +251,15 @@ def _descend(
     plan = SpringPlan(frozen_system, options, choice)
     grid = plan.start(0.0)
     masses, previous_energy, cells = frozen_system.free_masses, 0.0, 0
-    speed, initial_work = np.inf, work
-    while speed > REST_SPEED and cells < MAX_REST_CELLS and work < MAX_REST_WORK:
+    max_speed, initial_work = np.inf, work
+    while max_speed > REST_SPEED and cells < MAX_REST_CELLS and work < MAX_REST_WORK:
         cells += 1
         with np.errstate(all="ignore"):
             grid = plan.advance(grid, 1)
         state, velocities = grid.state, grid.state.motion[1]
-        speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
+        max_speed = float(np.linalg.norm(velocities, axis=1).max(initial=0.0))
         work = initial_work + grid.step_count * len(frozen_system.body.springs.rest)
-        if not np.isfinite(speed):
+        if not np.isfinite(max_speed):
             break
         # A later change to fewer steps would move it again.
         state = replace(state, least=state.substeps)
@@ -268,8 +268,10 @@ def _descend(
             state, energy = replace(state, motion=at_rest(state.motion[0])), 0.0
         previous_energy, grid = energy, replace(grid, state=state)
     rest = grid.state.motion[0]
-    gap = float(np.linalg.norm(rest - frozen_system.state[0], axis=1).max(initial=0.0))
-    return _Descent(rest, speed, grid.state.substeps, work, gap)
+    max_gap = float(
+        np.linalg.norm(rest - frozen_system.state[0], axis=1).max(initial=0.0)
+    )
+    return _Descent(rest, max_speed, grid.state.substeps, work, max_gap)
 
 
 def _gap_notice(gap: float, *, is_auto: bool) -> Fault:

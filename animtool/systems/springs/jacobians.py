@@ -132,8 +132,8 @@ def _air_blocks(
 
         The axes are triangle, corner, force component and position component.
         """
-        magnitude = float(np.abs(state[variable]).max(initial=0.0))
-        increment = DIFFERENCE_STEP * max(magnitude, 1e-3)
+        max_magnitude = float(np.abs(state[variable]).max(initial=0.0))
+        increment = DIFFERENCE_STEP * max(max_magnitude, 1e-3)
         columns = []
         for k in range(3):
             values = []

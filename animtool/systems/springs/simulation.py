@@ -124,7 +124,10 @@ class SpringSimulation(MotionCounts):
         dt: float,  # noqa: ARG002
         count: int,
     ) -> SteppedState[SpringState]:
-        """Return the state after ``count`` cells, and impulses on other bodies."""
+        """Advance by ``count`` grid intervals.
+
+        Return the state, and impulses on other bodies.
+        """
         self.grid = self._grid_at(state, t)
         target = self.grid.index + count
         while self.grid.index < target:

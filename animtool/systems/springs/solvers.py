@@ -193,8 +193,8 @@ class SpringPlan:
         The cell is split into subcells if bodies rotate fast or no solution is found.
         """
         steps, subcell_count = self._carrier_steps(grid), 1
-        angle = max(step.max_angle for step in steps)
-        while subcell_count < MAX_SUBCELLS and angle > MAX_ANGLE * subcell_count:
+        max_angle = max(step.max_angle for step in steps)
+        while subcell_count < MAX_SUBCELLS and max_angle > MAX_ANGLE * subcell_count:
             subcell_count *= 2
         while True:
             after = self._advance_in_subcells(grid, steps, subcell_count)

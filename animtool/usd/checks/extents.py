@@ -238,16 +238,16 @@ class _SkinnedRoot:
         point_bounds = None if self.bounds is None else self.bounds.at_time(code)
         if point_bounds is None:
             return False
-        expected_bounds = joined_bounds(usd_extent[0], point_bounds)[None]
+        expected_bounds = bounds_union(usd_extent[0], point_bounds)[None]
         return bool(
             bounds_difference(extent, expected_bounds, must_equal=True)[0][0] <= 0
         )
 
 
-def joined_bounds(first_bounds: AnyArray, second_bounds: AnyArray) -> AnyArray:
+def bounds_union(first_bounds: AnyArray, second_bounds: AnyArray) -> AnyArray:
     """Return the union of two bounds ``(2, 3)``.
 
-    >>> joined_bounds(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
+    >>> bounds_union(np.array([[0.0], [2.0]]), np.array([[1.0], [3.0]])).tolist()
     [[0.0], [3.0]]
     """
     lowest, highest = (
@@ -261,8 +261,8 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
     """Return as text how far and when skinned points exceed a SkelRoot's extents."""
     overhang = find_overhang(root, extents, times.tolist())
     # Overhangs within rounding do not count, as in `bounds_difference`.
-    magnitude = float(np.abs(extents).max(initial=0.0))
-    if overhang is None or overhang[0] <= 1e-6 * (1 + magnitude):
+    max_magnitude = float(np.abs(extents).max(initial=0.0))
+    if overhang is None or overhang[0] <= 1e-6 * (1 + max_magnitude):
         return "; no skinned point exceeds it"
     largest_distance, code, has_same_joints = overhang
     time_text = "" if np.isnan(code) else f" at time code {frame_label(code)}"

@@ -110,11 +110,11 @@ def find_overhang(
         if point_bounds is None:
             continue
         lowest, highest = extents[i if len(extents) > 1 else 0]
-        distance = float(
+        max_distance = float(
             np.maximum(lowest - point_bounds[0], point_bounds[1] - highest).max()
         )
-        if distance > largest:
-            largest, largest_code = distance, times[i]
+        if max_distance > largest:
+            largest, largest_code = max_distance, times[i]
     if not largest:
         return None
     return largest, largest_code, len(sample_indices) == len(times)

@@ -8,7 +8,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool.core.errors import Fault, counted
-from animtool.usd.checks.extents import computed_extent, extent_sources, joined_bounds
+from animtool.usd.checks.extents import bounds_union, computed_extent, extent_sources
 from animtool.usd.checks.skinned_bounds import SkinnedBounds
 from animtool.usd.checks.subject import StageSubject
 from animtool.usd.fixes.target import (
@@ -233,7 +233,7 @@ def _extent_with_skin(
     point_bounds = None if skinned_bounds is None else skinned_bounds.at_time(code)
     if point_bounds is None:
         return Vt.Vec3fArray(extent)
-    union = joined_bounds(np.array(extent, np.float32), rounded_outwards(point_bounds))
+    union = bounds_union(np.array(extent, np.float32), rounded_outwards(point_bounds))
     return Vt.Vec3fArray.FromNumpy(np.ascontiguousarray(union, np.float32))
 
 

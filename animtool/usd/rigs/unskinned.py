@@ -84,6 +84,6 @@ def _max_displacement(prim: Any, skeleton: Any, placement_choice: str | None) ->
     points = number_rows(PointReader(prim).points_attr, 3, Usd.TimeCode.EarliestTime())
     corners = bounds_corners(points) if len(points) else np.zeros((1, 3))
     positions = corners @ matrices[:, :3, :3] + matrices[:, None, 3, :3]
-    distance = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
+    max_distance = np.linalg.norm(positions - positions[:1], axis=-1).max(initial=0.0)
     unit = UsdGeom.GetStageMetersPerUnit(prim.GetStage())
-    return float(distance) * float(unit) if np.isfinite(distance) else 0.0
+    return float(max_distance) * float(unit) if np.isfinite(max_distance) else 0.0

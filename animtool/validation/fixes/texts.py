@@ -212,7 +212,7 @@ class TextDraft:
         return ()
 
     def _check_written_arrays(self) -> None:
-        """Raise OutputError if written arrays do not read back equal."""
+        """Raise OutputError if faults remain when the written arrays are read back."""
         if not self.arrays:
             return
         unwanted_codes = {*self.fixed_by_arrays, "RIG018", "RIG019"}

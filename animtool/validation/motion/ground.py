@@ -183,15 +183,15 @@ def _sunk_foot_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[
     for column in range(len(contacts.feet)):
         for first_frame, end_frame in runs(is_deep[:, column]):
             if end_frame - first_frame >= min_frames:
-                depth = float(depths[first_frame:end_frame, column].max())
-                sunk_runs.append((depth, column, first_frame, end_frame - 1))
+                max_depth = float(depths[first_frame:end_frame, column].max())
+                sunk_runs.append((max_depth, column, first_frame, end_frame - 1))
     if not sunk_runs:
         return
-    depth, column, first_frame, last_frame = max(sunk_runs)
+    max_depth, column, first_frame, last_frame = max(sunk_runs)
     joint = int(contacts.feet[column])
     foot_text = "it" if contacts.has_same_height[column] else "the other one"
     message = (
-        f"{subject.take.rig.joints[joint].name!r} is up to {depth:.3g} m below the "
+        f"{subject.take.rig.joints[joint].name!r} is up to {max_depth:.3g} m below the "
         f"ground from frame {subject.time_text(first_frame)} to "
         f"{subject.time_text(last_frame)}; the ground "
         f"is at the height of {foot_text} in other frames, {ground[column]:.3g} m"
@@ -241,10 +241,10 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
             subject, is_static, clearance, first, last_frame
         ):
             continue
-        height = float(lowest_heights[first : last_frame + 1].min())
+        min_height = float(lowest_heights[first : last_frame + 1].min())
         joint = int(contacts.feet[has_floor][clearance[first].argmin()])
         message = (
-            f"no foot is closer than {height:.3g} m to the ground from frame "
+            f"no foot is closer than {min_height:.3g} m to the ground from frame "
             f"{subject.time_text(first)} to {subject.time_text(last_frame)}, for "
             f"{seconds:.2g} s; "
             f"the ground is at their height in other frames, {ground:.3g} m"

@@ -182,7 +182,7 @@ MIN_SWAPPED_PAIRS = 2
 # the deviation from continuing the own motion [1].
 MAX_SWAP_RATIO = 0.35
 # For a single pair the fraction is lower, and the step larger [1], [rad].
-MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_EXCHANGE = 0.1, math.radians(20.0)
+MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_SWAP = 0.1, math.radians(20.0)
 
 
 def _side_pairs(subject: MotionSubject) -> list[tuple[int, int]]:
@@ -235,7 +235,7 @@ def _side_swaps(
     is_swapped &= ~subject.cut_mask()[:, None]
     total_angle = np.where(is_swapped, from_same_side, 0.0).sum(axis=1)
     has_enough_pairs = is_swapped.sum(axis=1) >= min(MIN_SWAPPED_PAIRS, len(pairs))
-    is_certain = from_same_side > MIN_SINGLE_EXCHANGE
+    is_certain = from_same_side > MIN_SINGLE_SWAP
     is_certain &= from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
     is_large_swap = (total_angle > MIN_TOTAL_SWAP_ANGLE) & has_enough_pairs
     is_swapped &= is_large_swap[:, None] | is_certain

@@ -196,9 +196,9 @@ MIN_SKIN_POINTS = 4
 # Where another pose is meant, the points that follow a joint most are farther from its
 # bones than this many times their own spread, and this fraction of the rig's size.
 MAX_SKIN_SPREADS, MAX_SKIN_DISTANCE = 2.0, 0.05
-# Skins of left and right are exchanged if both are nearer to the other side's bones
+# Skins of left and right are swapped if both are nearer to the other side's bones
 # than this fraction of the distance to their own [1].
-MAX_EXCHANGED_DISTANCE = 0.5
+MAX_SWAPPED_DISTANCE = 0.5
 # A single joint may have a prop that is elsewhere.
 MIN_DISTANT_JOINTS = 2
 
@@ -214,9 +214,9 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
                 continue
             points_by_joint = _points_by_joint(rig, mesh, archives)
             location = (*rig.at("meshes", mesh.name), "skin")
-            exchanged_joints = _exchanged_skins(rig, points_by_joint, positions)
-            if exchanged_joints:
-                left, right = (rig.rig.names[joint] for joint in exchanged_joints)
+            swapped_joints = _swapped_skins(rig, points_by_joint, positions)
+            if swapped_joints:
+                left, right = (rig.rig.names[joint] for joint in swapped_joints)
                 message = f"the skin of {left!r} is at {right!r}, and vice versa"
                 yield rig.fault("RIG225", location, message, "exchange the two joints")
                 continue
@@ -243,7 +243,7 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
             yield rig.fault("RIG225", location, message, hint)
 
 
-def _exchanged_skins(
+def _swapped_skins(
     rig: RigSubject, points_by_joint: dict[int, FloatArray], positions: FloatArray
 ) -> tuple[int, int] | None:
     """Return the first left and right joint whose points are at each other's bones."""
@@ -255,7 +255,7 @@ def _exchanged_skins(
         centres = [points_by_joint[joint].mean(axis=0) for joint in (left, right)]
         if all(
             _distance_to_joint(rig, centre, other, positions)
-            < MAX_EXCHANGED_DISTANCE * _distance_to_joint(rig, centre, joint, positions)
+            < MAX_SWAPPED_DISTANCE * _distance_to_joint(rig, centre, joint, positions)
             for centre, joint, other in zip(
                 centres, (left, right), (right, left), strict=True
             )

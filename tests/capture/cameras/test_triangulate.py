@@ -100,15 +100,15 @@ def test_outliers_and_swaps_are_survived() -> None:
 
 
 @pytest.mark.parametrize("count", [6, 8])
-def test_exchanged_cameras_are_named(count: int) -> None:
+def test_swapped_cameras_are_named(count: int) -> None:
     cameras = ring(count)
     names = [camera.name for camera in cameras.cameras]
-    exchanged = list(cameras.cameras)
-    exchanged[1], exchanged[4] = (
-        replace(exchanged[4], name=names[1]),
-        replace(exchanged[1], name=names[4]),
+    swapped = list(cameras.cameras)
+    swapped[1], swapped[4] = (
+        replace(swapped[4], name=names[1]),
+        replace(swapped[1], name=names[4]),
     )
-    found = triangulate(observed(cameras, POINTS), Cameras(tuple(exchanged)))
+    found = triangulate(observed(cameras, POINTS), Cameras(tuple(swapped)))
     matching = {
         camera.name: shift.change.matching
         for camera in found.cameras

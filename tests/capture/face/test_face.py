@@ -156,9 +156,9 @@ def test_landmarks_that_do_not_fit() -> None:
     assert "m7" in fit.notices[0].message
     assert fit.notices[0].hint is None
     # Two in each other's place are named as a pair.
-    exchanged = placed(model.points(made_weights()))
-    exchanged[:, [3, 11]] = exchanged[:, [11, 3]]
-    assert [n.hint for n in fit_face(model, exchanged, 60).notices] == [
+    swapped = placed(model.points(made_weights()))
+    swapped[:, [3, 11]] = swapped[:, [11, 3]]
+    assert [n.hint for n in fit_face(model, swapped, 60).notices] == [
         "exchange 'm3' and 'm11'"
     ]
     # Frames of other things are named too.

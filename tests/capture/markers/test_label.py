@@ -16,17 +16,17 @@ from animtool.capture.markers.geometry import MarkerDistances
 from animtool.capture.markers.label import (
     MAX_RIGID_SPREAD,
     SEED_PARTNERS,
-    _exchange_where_better,
     _find_first_span,
     _match_markers,
     _merge_seeds,
     _rigid_groups,
     _shape_error,
+    _swap_where_better,
     label_points,
 )
 from animtool.capture.markers.runs import TrackletLabels
 from animtool.capture.markers.tracklets import Tracklets
-from animtool.capture.markers.twins import distinguish_twins, is_exchanged
+from animtool.capture.markers.twins import distinguish_twins, is_swapped
 from animtool.core.errors import OptionError
 from animtool.maths import so3
 
@@ -101,9 +101,9 @@ def test_markers_that_lie_alike_are_named_with_their_frames() -> None:
 def test_twins_are_told_apart_by_shapes_that_are_off_by_more_than_noise(
     apart: float, told: bool
 ) -> None:
-    """Beside a line half a turn exchanges them, but for how far along it they are.
+    """Beside a line half a turn swaps them, but for how far along it they are.
 
-    Exchanged they are off by 0.7 of that each; of a fifth of a millimetre that says
+    Swapped they are off by 0.7 of that each; of a fifth of a millimetre that says
     10 log(1 + 0.14), and of one millimetre 10 log(1 + 0.7), where 2 are wanted.
     """
     line = np.zeros((5, 3))
@@ -113,12 +113,12 @@ def test_twins_are_told_apart_by_shapes_that_are_off_by_more_than_noise(
     rng = np.random.default_rng(2)
     turns = so3.exp(rng.standard_normal((40, 3)))
     seen = so3.rotate(turns[:, None], shape) + rng.standard_normal((40, 1, 3))
-    assert not is_exchanged(seen, shape, (0, 1))
+    assert not is_swapped(seen, shape, (0, 1))
     wrong = seen[:, [1, 0, 2, 3, 4, 5, 6]]
-    assert is_exchanged(wrong, shape, (0, 1)) == told
+    assert is_swapped(wrong, shape, (0, 1)) == told
 
 
-def test_exchanged_twins_are_put_right() -> None:
+def test_swapped_twins_are_put_right() -> None:
     made = cloud(201, "walk", "body41", 400)
     true = made.truth["markers_mm"].astype(float) / 1000.0
     rest = np.median(made.markers("static_mm").positions, axis=0)
@@ -208,7 +208,7 @@ def test_the_ten_seconds_with_most_of_longer_runs_are_named_first() -> None:
 
 
 @pytest.mark.parametrize("said", [[False, True], [True, False], [True, True]])
-def test_names_are_exchanged_in_parts(
+def test_names_are_swapped_in_parts(
     said: list[bool], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Frames 0 to 3 and 5 to 7, of which both runs of each go on; the third stays."""
@@ -220,20 +220,20 @@ def test_names_are_exchanged_in_parts(
     )  # fmt: skip
     seen = []
 
-    def exchanged(points: np.ndarray, _: np.ndarray, pair: tuple[int, int]) -> bool:
+    def swapped(points: np.ndarray, _: np.ndarray, pair: tuple[int, int]) -> bool:
         seen.append((len(points), points[0, 0, 0], pair))
         return said[len(seen) - 1]
 
-    monkeypatch.setattr("animtool.capture.markers.label.is_exchanged", exchanged)
-    _exchange_where_better(work, np.zeros((3, 3)), (0, 2))
+    monkeypatch.setattr("animtool.capture.markers.label.is_swapped", swapped)
+    _swap_where_better(work, np.zeros((3, 3)), (0, 2))
     assert seen == [(4, 0.0, (0, 2)), (3, 45.0, (0, 2))]
     swapped = [[0, 2], [2, 0]]
     wanted = [*swapped[said[0]], *swapped[said[1]], 1]
     assert work.run_markers.tolist() == wanted
-    # A single part has nothing to be exchanged with.
+    # A single part has nothing to be swapped with.
     alone = Tracklets(ids, np.array([0, 0, 3, 5, 0]), np.array([3, 3, 7, 7, 7]))
     work = TrackletLabels(
         work.positions, alone, 10.0, np.array([0, 2, 0, 2, 1]), np.zeros((3, 3))
     )
-    _exchange_where_better(work, np.zeros((3, 3)), (0, 2))
+    _swap_where_better(work, np.zeros((3, 3)), (0, 2))
     assert len(seen) == 2

@@ -41,7 +41,7 @@ def test_points_of_a_rigid_shape_get_the_names_of_those_about_them() -> None:
 
 
 @pytest.mark.parametrize(("a", "b"), [(0, 3), (1, 6), (2, 5)])
-def test_names_that_are_exchanged_are_put_right(a: int, b: int) -> None:
+def test_names_that_are_swapped_are_put_right(a: int, b: int) -> None:
     """The first marker and the last one too."""
     own = naming(ORDER)
     wrong = [b if m == a else a if m == b else m for m in ORDER]
@@ -53,7 +53,7 @@ def test_names_that_are_exchanged_are_put_right(a: int, b: int) -> None:
     assert own.total_evidence() > before + 1
 
 
-def test_two_pairs_and_three_are_exchanged_at_once() -> None:
+def test_two_pairs_and_three_are_swapped_at_once() -> None:
     for change in ({0: 1, 1: 2, 2: 0}, {0: 1, 1: 0, 2: 3, 3: 2}):
         own = naming(ORDER)
         for point, marker in enumerate(ORDER):

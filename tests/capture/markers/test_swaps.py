@@ -1,4 +1,4 @@
-"""Names that two markers exchanged are put right, gaps at the ends or not."""
+"""Names that two markers swapped are put right, gaps at the ends or not."""
 
 from __future__ import annotations
 
@@ -9,10 +9,8 @@ from capture.markers.test_fill import FRAMES, made, paths
 from animtool.capture.markers.swaps import repair_swaps
 
 
-def exchanged(
-    first: int, end: int, pair: tuple[int, int], gaps: list[tuple[int, slice]]
-):  # type: ignore[no-untyped-def]
-    """Return a take with gaps in which two markers are exchanged, and what is right."""
+def swapped(first: int, end: int, pair: tuple[int, int], gaps: list[tuple[int, slice]]):  # type: ignore[no-untyped-def]
+    """Return a take with gaps in which two markers are swapped, and what is right."""
     right = paths()
     for marker, frames in gaps:
         right[frames, marker] = np.nan
@@ -35,22 +33,22 @@ def test_a_swap_next_to_gaps(
     pair: tuple[int, int], gaps: list[tuple[int, slice]]
 ) -> None:
     gone = [(pair[which], frames) for which, frames in gaps]
-    wrong, right = exchanged(115, 160, pair, gone)
+    wrong, right = swapped(115, 160, pair, gone)
     whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
     assert [swap.markers for swap in swaps] == [(f"M{pair[0]}", f"M{pair[1]}")]
 
 
 @pytest.mark.parametrize(("first", "end"), [(0, 40), (250, FRAMES)])
-def test_the_shorter_part_is_exchanged(first: int, end: int) -> None:
-    wrong, right = exchanged(first, end, (2, 6), [])
+def test_the_shorter_part_is_swapped(first: int, end: int) -> None:
+    wrong, right = swapped(first, end, (2, 6), [])
     whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
     assert [(s.first, s.last) for s in swaps] == [(first, end - 1)]
 
 
 def test_one_marker_in_two_swaps() -> None:
-    wrong, right = exchanged(60, 100, (2, 6), [])
+    wrong, right = swapped(60, 100, (2, 6), [])
     wrong[150:190, [6, 8]] = wrong[150:190, [8, 6]]
     whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
@@ -59,7 +57,7 @@ def test_one_marker_in_two_swaps() -> None:
 
 def test_an_end_that_nobody_saw_is_in_the_middle_of_what_was_not_seen() -> None:
     unseen = [(2, slice(90, 131)), (6, slice(90, 131))]
-    wrong, right = exchanged(100, 180, (2, 6), unseen)
+    wrong, right = swapped(100, 180, (2, 6), unseen)
     whole, swaps = repair_swaps(made(wrong))
     np.testing.assert_array_equal(whole.positions, right)
     assert [(s.first, s.last) for s in swaps] == [(111, 179)]

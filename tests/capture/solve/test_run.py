@@ -23,7 +23,7 @@ FPS = 100.0
 
 
 def spoiled(seed: int = 7, frames: int = 240) -> Captured:
-    """Return a capture with gaps, spikes and exchanged labels."""
+    """Return a capture with gaps, spikes and swapped labels."""
     truth = captured(moving(frames, FPS, seed), FPS)
     rng = np.random.default_rng(seed)
     points = truth.markers.positions.copy()
@@ -49,9 +49,9 @@ def test_joints_are_found_and_labels_mended() -> None:
     take = solve.take()
     assert take.clock == truth.markers.clock
     assert error(take, truth) < 0.01
-    found = {(e.marker, e.label) for e in solve.score.exchanged}
+    found = {(e.marker, e.label) for e in solve.score.swapped}
     assert {("LWRA", "LWRB"), ("LWRB", "LWRA")} <= found
-    swap = [e for e in solve.score.exchanged if e.marker == "LWRA"]
+    swap = [e for e in solve.score.swapped if e.marker == "LWRA"]
     assert abs(swap[0].first - 100) < 3
     assert abs(swap[-1].last - 139) < 3
     assert 0.0003 < solve.score.total < 0.001

@@ -18,8 +18,8 @@ def codes(markers: Markers) -> list[str]:
     return [notice.code for notice in solve.notices]
 
 
-def exchanged(markers: Markers, *stems: str) -> Markers:
-    """Return markers with the names of some left and right ones exchanged."""
+def swapped(markers: Markers, *stems: str) -> Markers:
+    """Return markers with the names of some left and right ones swapped."""
     other = {"L": "R", "R": "L"}
     names = tuple(
         other[name[0]] + name[1:]
@@ -36,7 +36,7 @@ def exchanged(markers: Markers, *stems: str) -> Markers:
 )
 def test_swapped_sides_are_named(stems: tuple[str, ...]) -> None:
     markers = captured(moving(40, 100, 3)).markers
-    found = codes(exchanged(markers, *stems))
+    found = codes(swapped(markers, *stems))
     assert found.count("SOL109") == 1
     assert "SOL107" not in found
 

@@ -86,19 +86,19 @@ def test_positions_below_a_root_are_ignored_without_a_note(tmp_path: Path) -> No
     assert "BVH113" not in [n.code for n in read_bvh(path, positions="offsets").notices]
 
 
-def exchanged(rows: np.ndarray) -> np.ndarray:
+def swapped(rows: np.ndarray) -> np.ndarray:
     return np.hstack([rows[:, 3:6], rows[:, :3], rows[:, 6:]])
 
 
 @pytest.mark.parametrize(
     ("scale", "change", "found"),
     [
-        (1.0, exchanged, True),
+        (1.0, swapped, True),
         (1.0, lambda rows: rows, False),
-        (1.0, lambda rows: exchanged(rows)[:1], False),
+        (1.0, lambda rows: swapped(rows)[:1], False),
     ],
 )
-def test_exchanged_root_channels(
+def test_swapped_root_channels(
     scale: float, change: Change, found: bool, tmp_path: Path
 ) -> None:
     path = changed(tmp_path / "a.bvh", change, scale)

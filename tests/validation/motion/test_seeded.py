@@ -18,7 +18,7 @@ from support.planted_takes import (
     rests_with_legs_spread,
     scaled,
     scaled_root,
-    sides_exchanged,
+    sides_swapped,
     step,
     travel,
     turned,
@@ -83,9 +83,9 @@ def repeated(take: Take, rng: np.random.Generator) -> Take:
     return at_frames(take, np.insert(np.arange(take.motion.frames), frame, frame))
 
 
-def exchanged(take: Take, rng: np.random.Generator) -> Take:
+def swapped(take: Take, rng: np.random.Generator) -> Take:
     first = rng.uniform(0.2, 0.6)
-    return sides_exchanged(first, first + rng.uniform(0.1, 0.3))(take)
+    return sides_swapped(first, first + rng.uniform(0.1, 0.3))(take)
 
 
 def on_the_body(edit: Callable[[Take], Take]) -> Plant:
@@ -99,7 +99,7 @@ CASES: dict[str, tuple[Plant, str]] = {
     "a frame lost": (lost, "MOT205"),
     "frames frozen": (frozen, "MOT206"),
     "a frame twice": (repeated, "MOT206"),
-    "sides exchanged": (exchanged, "MOT210"),
+    "sides exchanged": (swapped, "MOT210"),
     "sunk for a while": (
         lambda take, rng: eased(-rng.uniform(0.05, 0.1), 1, 0.3, 0.6)(take),
         "MOT209",

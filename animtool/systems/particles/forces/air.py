@@ -46,8 +46,8 @@ class Drag(Force):
 
     def damping(self, v: FloatArray, particles: ParticleState) -> float:
         """Return the damping coefficient of the force [kg/s]."""
-        speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
-        return self.linear + 2 * self.quadratic * speed
+        max_speed = float(np.linalg.norm(v, axis=1).max(initial=0.0))
+        return self.linear + 2 * self.quadratic * max_speed
 
 
 @dataclass(frozen=True)
