@@ -15,7 +15,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.clock import Clock
+from animtool.core.clock import Clock, frame_label
 from animtool.core.errors import Fault, OptionError
 from animtool.core.loaded import check_loaded
 from animtool.core.quantities import MIN_SUSPECT_SECONDS
@@ -100,6 +100,8 @@ def find_cycle(
     stride = max(1, int(clock.rate // SEARCH_RATE))
     frames = np.arange(first_index, last_index + 1, stride)
     rate = float(clock.rate) / stride
+    if first_index >= last_index and clock.count > 1:
+        raise empty_cycle_error(clock, first_index, last_index)
     min_lag = max(2, math.ceil(_checked_seconds(shortest, "shortest") * rate))
     max_lag = math.floor(_checked_seconds(longest, "longest") * rate)
     max_lag = min(len(frames) - 1, max_lag)
@@ -156,7 +158,7 @@ def measure_cycle(
     """Measure the pose difference between the first and last frame of a cycle."""
     first_index, last_index = range_end_indices(take.clock, first, last)
     if first_index >= last_index:
-        raise _no_cycle_error(f"from frame {first} to {last}")
+        raise empty_cycle_error(take.clock, first_index, last_index)
     pose_view = _PoseView.from_take(take)
     stride = max(1, int(take.clock.rate // SEARCH_RATE))
     first_column, last_column, columns = (
@@ -180,6 +182,24 @@ def range_end_indices(
     first_index = 0 if first is None else frame_index(clock, first, "first")
     last_index = clock.count - 1 if last is None else frame_index(clock, last, "last")
     return first_index, last_index
+
+
+def empty_cycle_error(clock: Clock, first_index: int, last_index: int) -> OptionError:
+    """Return the error for a cycle that ends where it begins, or earlier (SCN018)."""
+    first, last = (clock.start + i * clock.step for i in (first_index, last_index))
+    begin, end = argument("first"), argument("last")
+    message = f"{begin} and {end} are both frame {frame_label(first)}: the cycle has "
+    message += "no length"
+    hint = f"{end} is a later frame, which shows the first pose again"
+    if clock.count == 1:
+        message, hint = "the take has one frame: it has no cycle", "use a longer take"
+    elif first_index == clock.count - 1:
+        hint = f"{begin} must be before the take's last frame, {frame_label(last)}"
+    if first > last:
+        message = f"{begin} is frame {frame_label(first)}, after {end}, frame "
+        message += frame_label(last)
+        hint = "exchange them"
+    return OptionError(Fault("SCN018", message, hint=hint))
 
 
 def _checked_seconds(seconds: float, option: str) -> float:

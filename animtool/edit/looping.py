@@ -23,7 +23,13 @@ from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 from animtool.edit.combine import align_signs
-from animtool.edit.cycle import Cycle, find_cycle, measure_cycle, range_end_indices
+from animtool.edit.cycle import (
+    Cycle,
+    empty_cycle_error,
+    find_cycle,
+    measure_cycle,
+    range_end_indices,
+)
 from animtool.edit.frames import check_count, check_range
 from animtool.edit.loop_options import LoopOptions
 from animtool.edit.travel import CycleTravel, cycle_travel, nearby_positions
@@ -270,7 +276,7 @@ def loop(
         return take
     first_index, last_index = range_end_indices(clock, first, last)
     if last_index <= first_index:
-        refuse("SCN018", f"{last_index - first_index} frames are too few for a cycle")
+        raise empty_cycle_error(clock, first_index, last_index)
     _check_minimum(repeats, 1, "repeats")
     _check_minimum(blend, 0, "blend")
     cycle_length = last_index - first_index

@@ -16,6 +16,7 @@ from animtool.core.record import dataclass
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.file import MapFile, ResolvedMap, load_map, resolve_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
+from animtool.retarget.map_order import map_order_warnings
 from animtool.retarget.names import check_presets
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.roles import (
@@ -95,9 +96,11 @@ def map_joints(
     """
     check_presets(preset=preset, target_preset=target_preset)
     file_map: ResolvedMap | None = None
+    order_warnings: tuple[Fault, ...] = ()
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
         file_map = resolve_map(file, source, target)
+        order_warnings = tuple(map_order_warnings(file, file_map, source, target))
     uses_names = mode != "structure"
     find_roles = partial(find_anatomy, uses_names=uses_names)
     anatomies = (
@@ -142,6 +145,7 @@ def map_joints(
         (
             *anatomies[0].notices,
             *anatomies[1].notices,
+            *order_warnings,
             *_crossed_side_warnings(rigs, anatomies, pairs.values(), map_file),
             *_leg_count_warnings(rigs, anatomies),
         ),

@@ -38,6 +38,7 @@ from animtool.motion.passes import (
 )
 from animtool.motion.take import TakeStream
 from animtool.retarget.anatomy import find_anatomy
+from animtool.retarget.file import load_map
 from animtool.retarget.map import JointMap
 from animtool.retarget.motion import Retargeting, build_transfer
 from animtool.retarget.names import check_presets
@@ -196,6 +197,7 @@ def retarget_stream(
     positions = _standing_positions(stream.rig, first_block, rest_rotations)
     joint_map = _pair_joints(stream.rig, rig, options, positions)
     notices = list(joint_map.notices)
+    notices += _unused_option_warnings(stream.rig, rig, options, positions, joint_map)
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
     stance_axis = find_standing_axis(source, first_block, joint_map.source.roles)
@@ -254,6 +256,9 @@ def retarget_stream(
     return retargeting, joint_map, notices
 
 
+_DEFAULTS = RetargetOptions()
+
+
 def _pair_joints(
     source: Rig, target: Rig, options: RetargetOptions, positions: FloatArray
 ) -> JointMap:
@@ -279,6 +284,44 @@ def _pair_joints(
                 hint = "choose another rig, or write a map file"
                 raise FormatError(Fault("MAP010", message, hint=hint)) from error
         raise
+
+
+def _unused_option_warnings(
+    source: Rig,
+    target: Rig,
+    options: RetargetOptions,
+    positions: FloatArray,
+    joint_map: JointMap,
+) -> list[Fault]:
+    """Return a warning if options of pairing change nothing beside a map (MAP111)."""
+    if options.map is None:
+        return []
+    file = load_map(options.map)
+    if file.model.others == "auto":
+        return []
+    unused_names = []
+    for name in ("by", "preset", "target_preset"):
+        if getattr(options, name) != getattr(_DEFAULTS, name):
+            other_options = replace(options, **{name: getattr(_DEFAULTS, name)})
+            other_map = _pair_joints(source, target, other_options, positions)
+            if all(
+                getattr(joint_map, part) == getattr(other_map, part)
+                for part in ("pairs", "chains", "twists")
+            ):
+                unused_names.append(name)
+    if not unused_names:
+        return []
+    values = [argument(name, getattr(options, name)) for name in unused_names]
+    verb = "has" if len(values) == 1 else "have"
+    message = f"{' and '.join(values)} {verb} no effect: only the joints that this map "
+    message += "names are paired"
+    lines: tuple[int, ...] = ()
+    if "others" in file.model.model_fields_set:
+        lines = (file.document.position(("others",))[0],)
+        message += " (others: none)"
+    hint = f"leave out {' and '.join(map(argument, unused_names))}, or write others: "
+    hint += "auto in the map to pair the other joints too"
+    return [Fault("MAP111", message, str(options.map), lines, hint, Severity.WARNING)]
 
 
 def _read_rest_frame(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
@@ -17,6 +18,7 @@ from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.edit.cycle import _PoseView, find_cycle, measure_cycle
 from animtool.edit.frames import frame_index
+from animtool.edit.looping import loop as loop_take
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
@@ -77,6 +79,7 @@ def test_a_first_frame_in_seconds(first: float, hint: str | None) -> None:
         ({"first": 99}, "SCN013"),
         ({"last": 999}, "SCN013"),
         ({"first": 110, "last": 104}, "SCN018"),
+        ({"first": 110, "last": 110}, "SCN018"),
         ({"first": 110, "last": 112}, "SCN018"),
         ({"shortest": 60.0}, "SCN018"),
         ({"shortest": -1.0}, "SCN018"),
@@ -161,3 +164,23 @@ def test_a_heading_is_seen_from_the_rest_pose() -> None:
     ground, heading = _PoseView.from_take(take)._ground_pose(np.arange(3))
     assert so3.angle_between(heading, yaws).max() < 1e-9
     np.testing.assert_allclose(ground, np.tile([1.0, 0.0, 3.0], (3, 1)))
+
+
+@pytest.mark.parametrize(
+    ("ends", "words"),
+    [
+        ((120, 120), ["first and last are both frame 120", "last is a later frame"]),
+        ((160, None), ["first must be before the take's last frame, 160"]),
+        ((130, 120), ["first is frame 130, after last, frame 120", "exchange them"]),
+    ],
+)
+@pytest.mark.parametrize("function", [find_cycle, measure_cycle, loop_take])
+def test_an_empty_cycle_names_its_ends(
+    ends: tuple[int, int | None], words: list[str], function: Callable[..., object]
+) -> None:
+    take = swinging(gait(60, 30.0))
+    with pytest.raises(OptionError) as error:
+        function(take, *ends)
+    (fault,) = error.value.faults
+    assert fault.code == "SCN018"
+    assert all(word in str(fault) for word in words), str(fault)

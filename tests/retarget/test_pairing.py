@@ -451,3 +451,32 @@ def test_a_copied_source_names_the_joint_that_is_left_out(tmp_path: Path) -> Non
         if fault.code == "MAP108"
     )
     assert "write mixamorig:RightArm in place of" in (found.hint or "")
+
+
+@pytest.mark.parametrize(
+    ("entries", "where"),
+    [
+        ("{source: [B, A], target: [a, b]}", ["joints[0].source"]),
+        ("{source: [A, B], target: [c, a]}", ["joints[0].target"]),
+        ("{source: A, target: b}, {source: B, target: a}", ["joints[1].source"]),
+        ("{source: [A, B], target: [a, b]}, {source: C, target: c}", []),
+        ("{source: A, target: a}, {source: A, target: b}", []),
+        ("{source: [A, B, D], target: [a, d, b]}, {source: C, target: c}", []),
+        ("{source: B, target: b}, {source: A, target: a}", []),
+    ],
+)
+def test_joints_of_a_map_against_the_hierarchy_are_named(
+    tmp_path: Path, entries: str, where: list[str]
+) -> None:
+    parents = {"a": -1, "b": 0, "c": 1, "d": 0}
+    joints = [
+        Joint(name, parent, translation=(0.0, 1.0, 0.0))
+        for name, parent in parents.items()
+    ]
+    others = [replace(joint, name=joint.name.upper()) for joint in joints]
+    path = written(tmp_path, f"map: animtool/1\njoints: [{entries}]\n")
+    rigs = Rig("take", tuple(others)), Rig("hero", tuple(joints))
+    notices = map_joints(*rigs, map_file=path).notices
+    found = [notice for notice in notices if notice.code == "MAP112"]
+    assert [notice.where for notice in found] == where
+    assert all(notice.lines == (2,) for notice in found)

@@ -229,3 +229,29 @@ def test_a_rest_pose_in_mid_motion(root: Path, rest: int | None, found: bool) ->
     assert ("MAP110" in [notice.code for notice in notices]) is found
     expected = TakeStatus.LOOK if found else TakeStatus.GOOD
     assert retargeting.verdict().status is expected
+
+
+@pytest.mark.parametrize(
+    ("others", "options", "count"),
+    [
+        ("others: none\n", {"by": "structure"}, 1),
+        ("", {"by": "rename", "preset": "mixamo"}, 2),
+        ("others: none\n", {}, 0),
+        ("others: auto\n", {"by": "structure"}, 0),
+    ],
+)
+def test_options_of_pairing_without_effect_beside_a_map_are_named(
+    root: Path, tmp_path: Path, others: str, options: dict[str, Any], count: int
+) -> None:
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    biped = Rig.load(root / "rigs/biped/biped.rig.yaml")
+    lines = others + "joints:\n- {source: Hips, target: hips, role: hips}\n"
+    path = tmp_path / "one.map.yaml"
+    path.write_text(f"map: animtool/1\n{lines}", "utf-8")
+    settings = RetargetOptions(map=path, **options)
+    notices = retarget_stream(TakeStream.of(walk), biped, settings)[2]
+    found = [notice for notice in notices if notice.code == "MAP111"]
+    assert len(found) == (count > 0)
+    for notice in found:
+        assert notice.lines == ((2,) if others else ())
+        assert all(f'{name}="{options[name]}"' in notice.message for name in options)

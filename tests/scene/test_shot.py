@@ -233,3 +233,25 @@ def test_preroll_at_another_rate(walk: Path) -> None:
     np.testing.assert_array_equal(
         again.motion.rotations.dense(), whole.motion.rotations.dense()
     )
+
+
+@pytest.mark.parametrize(
+    ("requested", "suggested"),
+    [
+        ("1-24", "1001-1024"),
+        ("1-24x2", "1001-1024x2"),
+        ("1-500", "1001-1058"),
+        ("1070-1080", "1001-1011"),
+        ("0-9", "1001-1010"),
+    ],
+)
+def test_a_range_outside_of_the_shot_names_the_frames_of_the_shot(
+    shot: Path, requested: str, suggested: str
+) -> None:
+    done = animtool("bake", shot, "--range", requested)
+    assert done.code == 2
+    assert "SCN042" in done.stderr
+    assert f"--range {requested} " in done.stderr
+    assert "1001 to 1058" in done.stderr
+    assert f"write --range {suggested}\n" in done.stderr
+    assert animtool("bake", shot, "--range", suggested).code == 0

@@ -202,6 +202,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
         # After passes that retime the take, its times do not correspond to the media.
         nearest_end = last if shot.speed < 0 else plan.start
         end_frames = requested_frames[0], requested_frames[-1]
+        if end_frames[1] < shot.start or end_frames[0] > shot.end:
+            raise _outside_shot_error(shot, frame_range, source_path)
         if shot.places_media and shot.frame_at(0) == nearest_end:
             length = clock.count / clock.rate * abs(shot.speed)
             raise no_frames_error(shot, *end_frames, length, source_path)
@@ -231,6 +233,21 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
             )
             notices.append(with_position(fault.in_file(source_path)))
     return notices
+
+
+def _outside_shot_error(shot: Shot, frames: FrameRange, path: str) -> OptionError:
+    """Return the error for a requested range outside the frames of a shot (SCN042)."""
+    offset = shot.start - 1  # of a range that counts from the start of the shot
+    if not (frames.first >= 1 and frames.last + offset <= shot.end):
+        offset = shot.start - frames.first
+    first, last = frames.first + offset, min(frames.last + offset, shot.end)
+    step_text = f"x{frames.step}" if frames.step > 1 else ""
+    shot_text = f"shot {shot.name}" if shot.name else "the shot"
+    message = f"{argument('frame_range', f'{frames.first}-{frames.last}{step_text}')} "
+    message += f"has no frame of {shot_text}, which has {shot.start} to {shot.end}"
+    range_text = f"{first}-{last}{step_text}"
+    hint = f"for example write {argument('frame_range', range_text)}"
+    return OptionError(Fault("SCN042", message, path, (), hint))
 
 
 def _sample_curve(

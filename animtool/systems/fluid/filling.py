@@ -108,37 +108,40 @@ def _fill_motion(
 ) -> FloatArray:
     """Return positions and velocities of a fill ``(2, N, 3)``."""
     name, fill = _fill_label(spec, fill_index), spec.fills[fill_index]
+    location = f"fills[{fill_index}]"
     if data.get("points") is not None:
-        state = _read_points(fill, data, name)
-        _check_outside(state[0], colliders, t, name)
+        state = _read_points(fill, data, name, location)
+        _check_outside(state[0], colliders, t, name, location)
         return state
     points = _lattice_points(spec, data["shape"], data["poses"], t)
     if colliders.rigid_colliders and len(points):
         gaps = colliders.as_solids.sample(points, t).distances
         is_free = gaps.min(axis=0) >= (1 - RELATIVE_ROUNDING) * spec.spacing / 2
         if (gaps < 0).all(axis=1).any():
-            _refuse_enclosed(name, gaps, colliders)
+            _refuse_enclosed(name, gaps, colliders, location)
         points = points[is_free]
     if not len(points):
         message = f"{name} has no particles: it is thinner than the spacing of "
         message += f"{spec.spacing:g} m, or inside colliders"
-        refuse("SIM064", message, "fills", "use a smaller spacing, or a larger fill")
+        refuse("SIM064", message, location, "use a smaller spacing, or a larger fill")
     velocities = np.broadcast_to(np.asarray(fill.velocity, np.float64), points.shape)
     return np.stack([points, velocities])
 
 
-def _refuse_enclosed(name: str, gaps: FloatArray, colliders: Colliders) -> None:
+def _refuse_enclosed(
+    name: str, gaps: FloatArray, colliders: Colliders, location: str
+) -> None:
     """Raise SIM064 for a fill inside a solid collider or outside a container."""
     c = int(np.argmax((gaps < 0).all(axis=1)))
     collider, collider_name = colliders.rigid_colliders[c], colliders.label(c)
     if collider.container:
         message = f"{name} is outside the container {collider_name}"
-        refuse("SIM064", message, "fills", "move it inside")
+        refuse("SIM064", message, location, "move it inside")
     message = f"{name} is inside the collider {collider_name}, which is solid"
     hint = "move it out"
     if not isinstance(collider.shape, Plane):
         hint = "for a tank that holds it, add 'container: true' to the collider"
-    refuse("SIM064", message, "fills", hint)
+    refuse("SIM064", message, location, hint)
 
 
 def _fill_label(spec: FluidModel, i: int) -> str:
@@ -146,7 +149,9 @@ def _fill_label(spec: FluidModel, i: int) -> str:
     return repr(spec.fills[i].name) if spec.fills[i].name else f"fill {i}"
 
 
-def _read_points(fill: FillModel, data: Mapping[str, Any], name: str) -> FloatArray:
+def _read_points(
+    fill: FillModel, data: Mapping[str, Any], name: str, location: str
+) -> FloatArray:
     """Return positions and velocities from arrays of files ``(2, N, 3)``."""
     points, velocities = data["points"], data.get("velocities")
     if velocities is None:
@@ -155,16 +160,17 @@ def _read_points(fill: FillModel, data: Mapping[str, Any], name: str) -> FloatAr
         shape = (len(points), 3)
         if array.shape != shape:
             message = f"{label} of {name} have shape {array.shape}, not {shape}"
-            refuse("SIM064", message, "fills")
+            refuse("SIM064", message, f"{location}.{label}")
         is_invalid = ~np.isfinite(array).all(axis=1)
         if is_invalid.any():
             i = int(np.argmax(is_invalid))
-            refuse("SIM064", f"{label} of {name}: row {i} is not finite", "fills")
+            message = f"{label} of {name}: row {i} is not finite"
+            refuse("SIM064", message, f"{location}.{label}")
     return np.stack([points, velocities])
 
 
 def _check_outside(
-    points: FloatArray, colliders: Colliders, t: float, name: str
+    points: FloatArray, colliders: Colliders, t: float, name: str, location: str
 ) -> None:
     """Raise SIM064 if points start inside colliders, or outside a container."""
     if not colliders.rigid_colliders or not len(points):
@@ -182,7 +188,7 @@ def _check_outside(
     other_count = int(is_inside.any(axis=0).sum()) - 1
     if other_count:
         message += f", and {counted(other_count, 'other')} start in colliders too"
-    refuse("SIM064", message, "fills", "move it, or remove it")
+    refuse("SIM064", message, location, "move it, or remove it")
 
 
 def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:

@@ -164,23 +164,31 @@ class FluidModel(ForcedSpec):
         if not self.fills and not self.emitters:
             message = "it has neither a fill nor an emitter"
             yield message, "fills", f"fills: [{{{box}}}]"
-        for fill in self.fills:
-            kind = next(iter(fill.shape)) if fill.shape else ""
-            if (fill.shape is None) is (fill.points is None):
-                yield "a fill has either a shape or points", "fills", box
+        for i, fill in enumerate(self.fills):
+            kind, place = next(iter(fill.shape)) if fill.shape else "", f"fills[{i}]"
+            if fill.shape is not None and fill.points is not None:
+                message, hint = "a fill has a shape or points, not both", "remove one"
+                yield message, place, f"{hint} of them"
+            elif fill.shape is None and fill.points is None:
+                yield "a fill needs a shape or points", place, f"for example {box}"
             elif fill.velocities is not None and fill.points is None:
-                yield "velocities need points", "fills", None
+                hint = "for the particles of a shape write velocity: [x, y, z]"
+                yield "velocities need points", f"{place}.velocities", hint
             elif kind in INFINITE_SHAPES:
-                yield f"a {kind} has no volume to fill", "fills", box
-        for emitter in self.emitters:
-            if (emitter.radius is None) is (emitter.size is None):
-                message = "a nozzle is round or rectangular: write either radius or "
-                message += "size"
-                yield message, "emitters", None
+                message = f"a {kind} has no volume to fill"
+                yield message, f"{place}.shape", f"for example {box}"
+        for i, emitter in enumerate(self.emitters):
+            place = f"emitters[{i}]"
+            if emitter.radius is not None and emitter.size is not None:
+                message = "a round nozzle has a radius, a rectangular one a size, and "
+                yield message + "this one both", place, "remove one of them"
+            elif emitter.radius is None and emitter.size is None:
+                message = "a nozzle needs a radius if it is round, a size if it is "
+                yield message + "rectangular", place, "for example radius: 0.1"
             for begin, end in emitter.opens:
                 if not begin <= end:
                     message = f"it closes at {end:g} s, before {begin:g} s"
-                    yield message, "emitters", None
+                    yield message, f"{place}.opens", None
 
     def faults(self, entry_data: Mapping[str, Any]) -> Sequence[Fault]:
         """Return faults in keys, and for colours without a range."""
