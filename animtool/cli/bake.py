@@ -25,6 +25,7 @@ from animtool.cli.outputs import (
     atomic_command,
     check_plot,
     goes_to_stdout,
+    is_missing_input,
     plot_option,
     print_tradeoffs,
     refuse_plot_without_table,
@@ -133,6 +134,8 @@ def bake(
             refuse_swapped(sources[0], output, "SOURCE and -o")
         if not params["skip_existing"]:
             _refuse_capture(sources[0], output)
+    if output is None and len(sources) == 2:
+        _refuse_swapped_pair(*sources)
     sources, output = replace_timeline(console, sources, output, params)
     if output is None and len(sources) > 1 and not params["table"]:
         _refuse_unnamed_library(sources)
@@ -159,12 +162,20 @@ def bake(
     _bake_outputs(console, outline, params, is_stdout=is_stdout)
 
 
+def _refuse_swapped_pair(first: Path, second: Path) -> None:
+    """Refuse an output in front of its source: a missing file, and one that exists."""
+    is_output = writer_of(first) is not None and is_missing_input(first)
+    if is_output and not is_missing_input(second):
+        names = shlex.quote(str(second)), shlex.quote(str(first))
+        text = f"{first} does not exist, but {second} does; to write {first}, use "
+        raise click.UsageError(f"{text}animtool bake {names[0]} -o {names[1]}")
+
+
 def _refuse_unnamed_library(sources: Sequence[Path]) -> NoReturn:
     """Refuse several sources without an output; the last may be meant as the output."""
     *first_sources, last_source = sources
-    # The name of an array may follow the file name: take.npz#markers.
     name = shlex.quote(str(last_source))
-    is_missing = not Path(str(last_source).partition("#")[0]).exists()
+    is_missing = is_missing_input(last_source)
     if is_missing and all(source.exists() for source in first_sources):
         text = f"{last_source} does not exist; to write it, use -o {name}"
         raise click.UsageError(text)

@@ -22,6 +22,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import (
     goes_to_stdout,
     read_output_options,
+    refuse_swapped,
     skip_existing_outputs,
     take_output_option,
     take_output_options,
@@ -97,6 +98,8 @@ def solve(
     Without -o, only the report is made.
     """
     is_stdout = goes_to_stdout(output, params)
+    if output is not None and not params["overwrite"]:
+        refuse_swapped(source, output, "MARKERS and -o")
     if params["static"] is not None and not params["calibrate"]:
         raise click.UsageError("--static needs a calibration: pass --calibrate too.")
     from animtool.scene.solves.mocap_solve import MocapSolveJob, run_solve

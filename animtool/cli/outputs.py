@@ -154,10 +154,15 @@ def print_tradeoffs(
     console.say(f"{plot}: drawn")
 
 
+def is_missing_input(path: Path) -> bool:
+    """Return whether an input does not exist; `-` is standard input."""
+    # The name of an array may follow the file name: take.npz#markers.
+    file = Path(str(path).partition("#")[0])
+    return str(path) != "-" and not path.exists() and not file.exists()
+
+
 def refuse_swapped(source: Path, output: Path, arguments: str) -> None:
     """Refuse a missing source if the output exists: they were likely swapped."""
-    # The name of an array may follow the file name: take.npz#markers.
-    file = Path(str(source).partition("#")[0])
-    if output.is_file() and not source.exists() and not file.exists():
+    if output.is_file() and is_missing_input(source):
         text = f"{source} does not exist, but {output} does: did you swap {arguments}?"
         raise click.UsageError(text)

@@ -24,6 +24,7 @@ from animtool.cli.options import (
 from animtool.cli.outputs import (
     goes_to_stdout,
     read_output_options,
+    refuse_swapped,
     skip_existing_outputs,
     take_output_option,
     take_output_options,
@@ -166,6 +167,8 @@ def retarget(
         text = f"SOURCE is the rig file {source.name}: did you swap SOURCE and --to?"
         raise click.UsageError(text)
     is_stdout = goes_to_stdout(output, params)
+    if output is not None and not params["overwrite"]:
+        refuse_swapped(source, output, "SOURCE and -o")
     from animtool.scene.solves.retarget import RetargetJob, run_retarget
 
     job = RetargetJob(

@@ -13,6 +13,7 @@ import click
 from click.core import ParameterSource
 
 from animtool.cli.help import ARGUMENTS_KEY, LazyGroup
+from animtool.cli.outputs import is_missing_input
 from animtool.core.errors import Fault
 from animtool.documents.other_words import OTHER_VALUES
 
@@ -302,6 +303,11 @@ def _argument_hint(text: str, context: click.Context) -> str | None:
             return f"write {flag} {text}"
     if "--clip" in flags and path.suffix and path.exists():
         return f"to start from it, write --clip {text}"
+    source = context.params.get("source")
+    is_missing = isinstance(source, Path) and is_missing_input(source)
+    if "--output" in flags and is_missing and path.exists():
+        hint = f"{source} does not exist; to write it, use {context.command_path} "
+        return f"{hint}{shlex.quote(text)} -o {shlex.quote(str(source))}"
     if "--output" in flags and path.suffix:
         return f"to write it, use -o {text}"
     return None

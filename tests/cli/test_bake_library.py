@@ -194,6 +194,30 @@ def test_an_output_without_its_option(
     assert f"if {name} is the output, write -o {quoted}." in done.stderr
 
 
+@pytest.mark.parametrize("name", ["out.usdc", "o ut.bvh"])
+def test_an_output_before_the_source_names_the_command(
+    takes: list[Path], tmp_path: Path, name: str
+) -> None:
+    quoted = f"'{name}'" if " " in name else name
+    for command in ("bake", "loop"):
+        done = animtool(command, name, takes[0], cwd=tmp_path)
+        assert done.code == 2
+        assert f"{name} does not exist" in done.stderr
+        assert f"{command} {takes[0]} -o {quoted}" in done.stderr
+
+
+@pytest.mark.parametrize("command", [["retarget", "--to"], ["mocap", "solve", "--rig"]])
+def test_a_source_in_place_of_the_output_is_not_to_be_overwritten(
+    takes: list[Path], root: Path, command: list[str]
+) -> None:
+    rig = root / "rigs/biped/biped.rig.yaml"
+    template = ["--template", rig] if "mocap" in command else []
+    done = animtool(*command, rig, "out.usdc", "-o", takes[0], *template)
+    assert done.code == 2
+    assert f"out.usdc does not exist, but {takes[0]} does" in done.stderr
+    assert "--overwrite" not in done.stderr
+
+
 def test_no_source_is_overwritten(takes: list[Path], tmp_path: Path) -> None:
     second = tmp_path / "second.usda"
     animtool("bake", takes[1], "-o", second)

@@ -86,6 +86,7 @@ def test_who_begins_in_a_collider_is_named_with_it() -> None:
         ]
     )
     x = np.array([[0.0, 0, 0], [0, 1.25, 0], [0, 0, 0.5], [0, 1.5, 0]])
+    it = ("it", "fills[0]")
     with pytest.raises(AnimtoolError) as error:
         _check_outside(x, walls, 0.0, "fill 3", "fills[3]")
     assert error.value.faults[0].where == "fills[3]"
@@ -94,11 +95,15 @@ def test_who_begins_in_a_collider_is_named_with_it() -> None:
         "particle 1 of fill 3 starts 0.25 m outside the container"
     )
     assert "'tank', and 1 other start" in message
-    _check_outside(x[[0, 2]], Colliders([walls[1]]), 0.0, "it", "fills[0]")
-    _check_outside(np.array([[0, 1.0, 0]]), Colliders([walls[1]]), 0.0, "it", "fills[0]")
-    _check_outside(x[:0], walls, 0.0, "it", "fills[0]")
+    _check_outside(x[[0, 2]], Colliders([walls[1]]), 0.0, *it)
+    _check_outside(
+        np.array([[0, 1.0, 0]]), Colliders([walls[1]]), 0.0, "it", "fills[0]"
+    )
+    _check_outside(x[:0], walls, 0.0, *it)
     with pytest.raises(AnimtoolError, match="inside colliders") as error:
-        _check_outside(np.array([[9.0, 0.3, 0]]), Colliders([walls[0]]), 0.0, "it", "fills[0]")
+        _check_outside(
+            np.array([[9.0, 0.3, 0]]), Colliders([walls[0]]), 0.0, "it", "fills[0]"
+        )
     assert "0.2 m inside" in error.value.faults[0].message
     assert "other" not in error.value.faults[0].message
 
