@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import re
 
-from animtool.documents.yaml_mistakes import YamlFault, find_typing_mistake
+from animtool.documents.yaml_mistakes import (
+    YamlFault,
+    find_typing_mistake,
+    truncation_fault,
+)
 
 # An entry whose keys are on its line: `- trim: first: 5, last: 60`.
 _ENTRY_ON_A_LINE = re.compile(r"\s*-\s+(\w+):\s+(\w+:\s[^#{}\[\]]*[^\s#{}\[\]])\s*")
@@ -59,6 +63,7 @@ def yaml_fault(text: str, problem: str, line: int, column: int) -> YamlFault:
     return (
         _tab_fault(lines, line)
         or find_typing_mistake(text, line)
+        or _last_key_fault(text, lines, problem)
         or _missing_colon_fault(lines, problem, line)
         or _scanner_fault(lines, problem, line, column)
     )
@@ -75,6 +80,19 @@ def _tab_fault(lines: list[str], line: int) -> YamlFault | None:
                 "a tab indents this line", "use spaces", line_number, tab_column
             )
     return None
+
+
+def _last_key_fault(text: str, lines: list[str], problem: str) -> YamlFault | None:
+    """Return a fault for a key without a colon in the last line, or None."""
+    last_line = _line_above(lines, len(lines) + 1)
+    name = _bare_key(lines[last_line - 1]) if last_line else None
+    if name is None or "could not find expected ':'" not in problem:
+        return None
+    hint = f"write '{name}: value'"
+    if last_line == len(lines) and not text.endswith(("\n", "\r")):
+        return truncation_fault(lines, f"the key '{name}'", hint)
+    column = lines[last_line - 1].index(name) + 1
+    return YamlFault("a key has no colon", hint, last_line, column)
 
 
 def _missing_colon_fault(lines: list[str], problem: str, line: int) -> YamlFault | None:
@@ -151,7 +169,7 @@ def _bare_key(line: str) -> str | None:
 
 def _line_above(lines: list[str], line: int) -> int:
     """Return the number of the nearest nonblank line above; 0 if there is none."""
-    for line_number in range(min(line, len(lines)) - 1, 0, -1):
+    for line_number in range(min(line, len(lines) + 1) - 1, 0, -1):
         if re.match(r"\s*[^\s#]", lines[line_number - 1]):
             return line_number
     return 0

@@ -47,14 +47,27 @@ def find_typing_mistake(text: str, stop_line: int) -> YamlFault | None:
     """
     if len(text) > MAX_SCANNED_CHARACTERS:
         return None
-    return _MistakeFinder(text.splitlines(), stop_line).find_fault()
+    is_cut = not text.endswith(("\n", "\r"))
+    return _MistakeFinder(text.splitlines(), stop_line, is_cut=is_cut).find_fault()
+
+
+def truncation_fault(lines: list[str], inside: str, remedy: str) -> YamlFault:
+    """Return the fault of a text that ends inside a value, without a line end.
+
+    >>> truncation_fault(["a: {b"], "'{'", "close it with '}'").message
+    "the file ends here, inside '{'"
+    """
+    hint = f"if it is truncated, copy or export it again, otherwise {remedy}"
+    message = f"the file ends here, inside {inside}"
+    return YamlFault(message, hint, len(lines), len(lines[-1]) + 1)
 
 
 class _MistakeFinder:
     """Reads lines as the YAML scanner does, and tracks open brackets and quotes."""
 
-    def __init__(self, lines: list[str], stop_line: int) -> None:
+    def __init__(self, lines: list[str], stop_line: int, *, is_cut: bool) -> None:
         self.lines = lines
+        self.is_cut = is_cut  # whether the last line has no line end
         self.stop_line = stop_line
         self.line_number = 0  # of the line, from 1
         self.line = ""
@@ -80,11 +93,26 @@ class _MistakeFinder:
                 text_indent = indent
         if self.open_quote:
             quote, open_line, column = self.open_quote
+            if self.is_cut and open_line == len(self.lines):
+                closers = quote + self._closers()
+                return truncation_fault(
+                    self.lines, "a quote", f"close it with {closers}"
+                )
             hint = f"close it with {quote} on the same line"
             return YamlFault("a quote is not closed", hint, open_line, column)
         if self.open_brackets and self.stop_line >= len(self.lines):
-            return self._unclosed_fault(len(self.lines))
+            if not self.is_cut:
+                return self._unclosed_fault(len(self.lines))
+            bracket, open_line, *_ = self.open_brackets[-1]
+            line_text = "" if open_line == len(self.lines) else f" of line {open_line}"
+            remedy = f"close it with '{self._closers()}'"
+            return truncation_fault(self.lines, f"'{bracket}'{line_text}", remedy)
         return None
+
+    def _closers(self) -> str:
+        """Return the brackets that close all open ones, the innermost first."""
+        open_brackets = [open_bracket for open_bracket, *_ in self.open_brackets]
+        return "".join(_CLOSING_BRACKETS[b] for b in reversed(open_brackets))
 
     def _fault_here(self, message: str, hint: str, column: int) -> YamlFault:
         return YamlFault(message, hint, self.line_number, column + 1)
@@ -135,9 +163,7 @@ class _MistakeFinder:
         while line > open_line and not self.lines[line - 1].split("#")[0].strip():
             line -= 1
         end_text = "this line" if line == open_line else f"line {line}"
-        open_brackets = [open_bracket for open_bracket, *_ in self.open_brackets]
-        closers = "".join(_CLOSING_BRACKETS[b] for b in reversed(open_brackets))
-        hint = f"add '{closers}' at the end of {end_text}"
+        hint = f"add '{self._closers()}' at the end of {end_text}"
         return YamlFault(f"'{bracket}' is not closed", hint, open_line, column)
 
     def _fault_after_indent(self, indent: int) -> YamlFault | None:

@@ -41,6 +41,14 @@ SLIPS = [
     ("a: 1\n// why\nb: 2\n", (2, 1), "'#'"),
     ("fps = 24\na: 1\n", (1, 1), "'fps: 24'"),
     ("v: {x: -0,1}\n", (1, 8), "-0.1"),
+    # Without an end of the last line, the file may be truncated.
+    ("a: {b: {radiu", (1, 14), "close it with '}}'"),
+    ("a: {b: {radiu\n", (1, 8), "add '}}'"),
+    ("a: [1,\n  2, 3", (2, 7), "close it with ']'"),
+    ("a: {b: 'radiu", (1, 14), "close it with '}"),
+    ('a: 1\nb: "radiu', (2, 10), 'close it with "'),
+    ("a:\n  b: 1\n  radiu", (3, 8), "truncated"),
+    ("a:\n  b: 1\n  radiu\n# end\n", (3, 3), "'radiu: value'"),
 ]
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, counted, listed
-from animtool.core.names import name_hint, numbered_names
+from animtool.core.names import most_similar, name_hint, numbered_names
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import (
     NodeTree,
@@ -120,7 +120,27 @@ def choose_character(
     for candidate in candidates:
         if any(file.nodes[node].name == name for node in candidate.nodes):
             return candidate, []
-    paths = [candidate.path for candidate in candidates]
-    message = f"unknown character or node {name!r}"
-    hint = name_hint(prim_path, paths)
+    option = argument("source.prim_path", prim_path)
+    message = f"{option} names no character or node of the file"
+    hint = _character_hint(file, prim_path, candidates)
     raise FormatError(Fault(unknown_code, message, path_text, (), hint))
+
+
+def _character_hint(
+    file: NodeTree, prim_path: str, candidates: tuple[CharacterNodes, ...]
+) -> str:
+    """Return a hint on what to write for an unknown character."""
+    # The last name of a path, such as that of the prim in a USD file of the character.
+    name = prim_path.strip("/").rpartition("/")[2]
+    nodes = (file.nodes[node] for c in candidates for node in c.nodes)
+    node_names = [node.name for node in nodes if node.name]
+    node_name = name if name in node_names else most_similar(name, node_names)
+    if len(candidates) == 1:
+        if node_name:
+            return f"did you mean {node_name!r}?"
+        return f"the file has one character: leave out {argument('source.prim_path')}"
+    paths = [candidate.path for candidate in candidates]
+    best_path = most_similar(f"/{name}", paths)
+    if best_path or node_name:
+        return f"did you mean {(best_path or node_name)!r}?"
+    return name_hint(prim_path, paths)

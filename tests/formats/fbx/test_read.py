@@ -209,7 +209,10 @@ def test_another_take_or_character_is_refused(tmp_path: Path) -> None:
     for options, code in (({"take": "run"}, "FBX015"), ({"prim_path": "x"}, "FBX014")):
         with pytest.raises(FormatError) as caught:
             read_fbx(path, **options)  # type: ignore[arg-type]
-        assert caught.value.faults[0].code == code
+        (fault,) = caught.value.faults
+        assert fault.code == code
+    assert 'prim_path="x"' in fault.message
+    assert "one character: leave out prim_path" in (fault.hint or "")
 
 
 def test_a_scale_that_is_not_inherited_gets_a_joint_of_its_own(tmp_path: Path) -> None:

@@ -131,8 +131,16 @@ def test_the_character_is_chosen(tmp_path: Path) -> None:
     whole = read_gltf(path, prim_path="/")
     assert whole.rig.names == ["hips", "chest", "head", "hips_2", "tail"]
     assert "GLT113" in codes(whole)
-    with raises(FormatError, "GLT014"):
-        read_gltf(path, prim_path="/nobody")
+    for unknown, hint in (
+        ("/zzz", "allowed: /"),
+        ("/World/hips_2", "did you mean '/hips_2'?"),
+        ("/World/tail", "did you mean 'tail'?"),
+    ):
+        with raises(FormatError, "GLT014") as caught:
+            read_gltf(path, prim_path=unknown)
+        (fault,) = caught.value.faults
+        assert f'prim_path="{unknown}"' in fault.message
+        assert hint in (fault.hint or "")
     rig, _ = open_rig(path, "/hips_2")
     assert rig.names == ["hips", "tail"]
 
