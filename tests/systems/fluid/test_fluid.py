@@ -285,7 +285,7 @@ def test_what_cannot_be_is_refused_by_name(simulator: Simulator) -> None:
     assert "is outside the container 'tank'" in outside
     assert "SIM064" in refused(simulator, fills=[])
     assert "SIM064" in refused(simulator, fills=[{"shape": {"plane": {}}}])
-    assert "round or rect" in refused(simulator, emitters=[{"at": [0.3, 1, 0.3]}])
+    assert "radius" in refused(simulator, emitters=[{"at": [0.3, 1, 0.3]}])
 
 
 def test_what_is_squeezed_stops_by_name(simulator: Simulator) -> None:
@@ -554,9 +554,9 @@ def test_points_of_a_file_that_are_no_numbers_are_named_by_their_row() -> None:
         {"name": "it", "spacing": 0.1, "fills": [{"points": "a.npz"}]}
     ).fills
     with pytest.raises(AnimtoolError, match="points of pool: row 2 is not") as error:
-        _read_points(fill, {"points": points}, "pool")
+        _read_points(fill, {"points": points}, "pool", "fills[0]")
     assert error.value.faults[0].code == "SIM064"
-    found = _read_points(fill, {"points": points[:2]}, "pool")
+    found = _read_points(fill, {"points": points[:2]}, "pool", "fills[0]")
     assert_array_equal(found, np.stack([points[:2], 0 * points[:2]]))
 
 
