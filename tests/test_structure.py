@@ -160,6 +160,7 @@ def _opens(call: ast.Call) -> bool:
     return name in READS
 
 
+@pytest.mark.slow
 def test_what_is_named_is_opened_in_one_place() -> None:
     found = {dotted(path) for path in PACKAGE.rglob("*.py") if syntax(path)[1]}
     assert found == set(OPENED)

@@ -467,6 +467,7 @@ def test_spans_outside_the_frames_are_named(place: Path) -> None:
     assert "TGT104" not in one.stderr
 
 
+@pytest.mark.slow
 def test_a_pole_that_keeps_a_limb_from_its_target(place: Path) -> None:
     for z, in_the_way in ((-3, True), (3, False)):
         (place / "pole.targets.yaml").write_text(

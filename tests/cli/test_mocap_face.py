@@ -53,6 +53,7 @@ def test_a_rig_is_asked_for(landmarks: Path) -> None:
     assert not made.exists()
 
 
+@pytest.mark.slow
 def test_a_neutral_frame_with_an_expression(tmp_path: Path, landmarks: Path) -> None:
     """The mouth is open in a later frame; in the first, the face is at rest."""
     with np.load(ROOT / "samples/face/speech.npz") as whole:
@@ -108,6 +109,7 @@ def test_names_of_sides_may_be_swapped(tmp_path: Path, landmarks: Path) -> None:
     assert "negate x of the landmarks, or exchange the names of left" in line
 
 
+@pytest.mark.slow
 def test_landmarks_seen_in_a_mirror_are_named(tmp_path: Path, landmarks: Path) -> None:
     arrays = dict(np.load(landmarks))
     points = arrays.pop("landmarks_mm") / 1000 - [0, 1.6, 0]

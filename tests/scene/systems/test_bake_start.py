@@ -72,6 +72,7 @@ def test_frames_that_are_all_before_0_s(
     assert done.stderr.count("SIM203") == count
 
 
+@pytest.mark.slow
 def test_the_start_of_a_scene_is_after_its_frames(tmp_path: Path) -> None:
     scene = tmp_path / "e.scene.yaml"
     for start, preroll, count in ((1001, 0, 1), (1001, 60, 0), (9, 0, 0)):

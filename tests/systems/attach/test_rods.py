@@ -111,6 +111,7 @@ def hit(path: str, speed: float, shape: str, scale: float = 1.0) -> dict[str, fl
     return {name: report[name]["value"] for name in measures}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", THRUST)
 @pytest.mark.parametrize("speed", [5.0, 20.0])
 @pytest.mark.parametrize("path", PATHS)
