@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from itertools import combinations
 
 from animtool.core.errors import Fault, Severity
 from animtool.documents.document import Location
@@ -28,10 +27,16 @@ def map_order_warnings(
             texts = _chain_order_texts(chain, rig)
             if texts:
                 yield _order_warning(file, ("joints", i, side), *texts)
-    for i, k in combinations(range(len(entries)), 2):
-        texts = _exchanged_texts((i, k), entries[i], entries[k], source, target)
-        if texts:
-            yield _order_warning(file, ("joints", k, "source"), *texts)
+    for upper, lower in _exchanged_pairs(entries, source, target):
+        upper_source, upper_target = _top_joints(entries[upper], source, target)
+        lower_source, lower_target = _top_joints(entries[lower], source, target)
+        message = f"{source.names[lower_source]!r} is below "
+        message += f"{source.names[upper_source]!r}, but what follows it, "
+        message += f"{target.names[lower_target]!r}, is above "
+        message += f"{target.names[upper_target]!r}"
+        i, k = sorted((upper, lower))
+        hint = f"exchange the sources of joints[{i}] and joints[{k}]"
+        yield _order_warning(file, ("joints", k, "source"), message, hint)
 
 
 def _order_warning(file: MapFile, location: Location, message: str, hint: str) -> Fault:
@@ -56,32 +61,27 @@ def _chain_order_texts(chain: Sequence[int], rig: Rig) -> tuple[str, str] | None
     return None
 
 
-def _exchanged_texts(
-    indices: tuple[int, int],
-    entry: ResolvedEntry,
-    other_entry: ResolvedEntry,
-    source: Rig,
-    target: Rig,
-) -> tuple[str, str] | None:
-    """Return message and hint for entries with opposite hierarchies, or None."""
-    joints = [
-        [_top_joint(rig, chain) for chain in chains]
-        for rig, chains in (
-            (source, (entry.source, other_entry.source)),
-            (target, (entry.target, other_entry.target)),
-        )
+def _exchanged_pairs(
+    entries: Sequence[ResolvedEntry], source: Rig, target: Rig
+) -> list[tuple[int, int]]:
+    """Return entries of which the first is above the second only in the source."""
+    tops = [_top_joints(entry, source, target) for entry in entries]
+    entries_by_source: dict[int, list[int]] = {}
+    for i, (source_top, _) in enumerate(tops):
+        entries_by_source.setdefault(source_top, []).append(i)
+    ancestors = [set(target.upwards(target_top)[1:]) for _, target_top in tops]
+    pairs = [
+        (upper, lower)
+        for lower, (source_top, target_top) in enumerate(tops)
+        for joint in source.upwards(source_top)[1:]
+        for upper in entries_by_source.get(joint, ())
+        if target_top in ancestors[upper]
     ]
-    upper = 0 if _is_above(source, *joints[0]) else 1
-    lower = 1 - upper
-    if not (
-        _is_above(source, joints[0][upper], joints[0][lower])
-        and _is_above(target, joints[1][lower], joints[1][upper])
-    ):
-        return None
-    names = [source.names[j] for j in joints[0]], [target.names[j] for j in joints[1]]
-    message = f"{names[0][lower]!r} is below {names[0][upper]!r}, but what follows it, "
-    message += f"{names[1][lower]!r}, is above {names[1][upper]!r}"
-    return message, "exchange the sources of joints[{}] and joints[{}]".format(*indices)
+    return sorted(pairs, key=sorted)
+
+
+def _top_joints(entry: ResolvedEntry, source: Rig, target: Rig) -> tuple[int, int]:
+    return _top_joint(source, entry.source), _top_joint(target, entry.target)
 
 
 def _top_joint(rig: Rig, chain: Sequence[int]) -> int:

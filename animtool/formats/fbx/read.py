@@ -77,9 +77,11 @@ def read_fbx(
     candidates = [
         i for i, c in enumerate(scene.takes) if animates_rig(fbx_rig, c, scene)
     ]
-    joint_counts = {
-        i: count_animated_joints(fbx_rig, scene.takes[i], scene) for i in candidates
-    }
+    joint_counts = {}
+    if take is None and len(candidates) > 1:
+        joint_counts = {
+            i: count_animated_joints(fbx_rig, scene.takes[i], scene) for i in candidates
+        }
     default_index = default_take(joint_counts, scene.default_take)
     index, take_notes = choose_take(
         TAKE_MESSAGES, str(path), names, take, candidates, default_index
