@@ -33,7 +33,7 @@ FRAME_TOLERANCE, TIME_PRECISION = 1e-3, 4e-7
 MIN_SUSPECT_KEYS, MAX_KEY_SPACING, MAX_FRAME_SPACING = 9, 10.0, 2.0
 # A first key later than this [s], with no more frames after it than before it, is
 # reported.
-MAX_QUIET_START = 1.0
+LATE_START_SECONDS = 1.0
 # Highest rate of evenly spaced keys that a note suggests [frame/s].
 MAX_KEY_RATE = 1000.0
 # Maximum number of animated values of a take, over all frames.
@@ -104,7 +104,7 @@ def _late_start_note(
 ) -> list[Fault]:
     """Return a note if the pose does not change for most of an animation (GLT122)."""
     first_time, last_time = animation.span
-    if first_time <= max(MAX_QUIET_START, last_time - first_time):
+    if first_time <= max(LATE_START_SECONDS, last_time - first_time):
         return []
     first_code, last_code = (
         float(start) + round(time * float(rate)) for time in (first_time, last_time)

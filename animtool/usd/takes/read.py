@@ -325,7 +325,7 @@ def _bound_animation(skeleton: Any) -> Any:
 def _missing_root_notice(prim: Any, animation: Any, path: Path) -> Fault:
     """Return a warning that USD ignores the animation of a Skeleton."""
     message = f"{prim.GetPath()} is not in a SkelRoot, so USD viewers ignore its "
-    message += f"animation {animation.GetPath()}; it is read all the same"
+    message += f"animation {animation.GetPath()}; it is read anyway"
     hint = "make a prim above the Skeleton a SkelRoot"
     return Fault("USD237", message, str(path), (), hint, Severity.WARNING)
 
