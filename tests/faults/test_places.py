@@ -212,6 +212,8 @@ def limited(limit: int, *arguments: str) -> int:
         import resource
         import signal
 
+        # A module first imported here would be cached cut off at the limit.
+        sys.dont_write_bytecode = True
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
         done: Done = animtool(*arguments)
