@@ -31,7 +31,7 @@ from animtool.batch.cluster_client import (
 from animtool.batch.cluster_worker import (
     DISK_CODE,
     INPUTS_CODE,
-    WorkerCheck,
+    WorkerRequirements,
     build_task,
     builder_versions,
     check_task,
@@ -165,7 +165,7 @@ class _ClusterRun:
     )
     pending_warnings: list[Fault] = field(default_factory=list)
     delivery: Delivery = field(init=False)
-    pickled_check: bytes = field(init=False)  # pickled `WorkerCheck`
+    pickled_requirements: bytes = field(init=False)  # pickled `WorkerRequirements`
     build_item: Callable[[bytes], ItemOutcome | None] = field(init=False)
     _last_worker_time: float = field(default_factory=time.monotonic)
     _has_warned_of_no_workers: bool = False  # whether the lack of workers was reported
@@ -175,7 +175,9 @@ class _ClusterRun:
         self.build_item = build_task(self.run_name)  # pickled only once
         task = WorkerTask(self.work.builder, self.work.limits, str(Path.cwd()))
         inputs = tuple(self.delivery.input_checks(self.work.inputs))
-        self.pickled_check = pickle.dumps(WorkerCheck(task, inputs, self.tokens))
+        self.pickled_requirements = pickle.dumps(
+            WorkerRequirements(task, inputs, self.tokens)
+        )
 
     def outcomes(self) -> Iterator[ItemOutcome | Fault]:
         """Yield the outcome of every item, and warnings about workers."""
@@ -262,7 +264,7 @@ class _ClusterRun:
 
     def _start_check(self, worker: _ClusterWorker) -> None:
         task = check_task(self.run_name, builder_versions())
-        self._submit(task, self.pickled_check, _SentTask(worker))
+        self._submit(task, self.pickled_requirements, _SentTask(worker))
 
     def _submit(self, function: Any, argument: bytes, sent_task: _SentTask) -> None:
         future = self.client.submit(

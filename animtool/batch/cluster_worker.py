@@ -39,7 +39,7 @@ class InputCheck:
 
 
 @dataclass(frozen=True, slots=True)
-class WorkerCheck:
+class WorkerRequirements:
     """Requirements that a worker must meet before it is sent an item."""
 
     task: WorkerTask
@@ -85,7 +85,7 @@ def version_differences(
 
 
 def prepare_worker(
-    worker: Any, run_name: str, versions: Mapping[str, str], pickled_check: bytes
+    worker: Any, run_name: str, versions: Mapping[str, str], pickled_requirements: bytes
 ) -> tuple[str, str]:
     """Prepare a worker for a run; return a code and a reason if it is unfit.
 
@@ -93,19 +93,19 @@ def prepare_worker(
         worker: The worker, which keeps the prepared state in its ``plugins``.
         run_name: Name of the run.
         versions: Result of `builder_versions` on the machine of the run.
-        pickled_check: A `WorkerCheck`, read only if the versions are equal.
+        pickled_requirements: A `WorkerRequirements`, read only if versions are equal.
     """
     differences = version_differences(versions, builder_versions())
     if differences:
         return VERSIONS_CODE, f"it has {differences}"
-    worker_check: WorkerCheck = pickle.loads(pickled_check)
+    worker_check: WorkerRequirements = pickle.loads(pickled_requirements)
     code, reason = next(_unfit_reasons(worker_check), ("", ""))
     if not code:
         worker.plugins[run_name] = WorkerProcesses(worker_check.task)
     return code, reason
 
 
-def _unfit_reasons(worker_check: WorkerCheck) -> Iterator[tuple[str, str]]:
+def _unfit_reasons(worker_check: WorkerRequirements) -> Iterator[tuple[str, str]]:
     """Yield a code and a reason for each requirement that this worker does not meet."""
     if not Path(worker_check.task.folder).is_dir():
         yield INPUTS_CODE, f"it has no folder {excerpt(worker_check.task.folder, 200)}"
@@ -199,7 +199,7 @@ def check_task(
     function is sent as code, and its animtool arguments as bytes.
     """
 
-    def check_worker(pickled_check: bytes) -> tuple[str, str, str]:
+    def check_worker(pickled_requirements: bytes) -> tuple[str, str, str]:
         import platform
 
         from distributed import get_worker
@@ -210,7 +210,7 @@ def check_task(
 
             return (
                 host,
-                *prepare_worker(get_worker(), run_name, versions, pickled_check),
+                *prepare_worker(get_worker(), run_name, versions, pickled_requirements),
             )
         except Exception as error:
             from importlib.metadata import PackageNotFoundError, version

@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.names import check_known_name
 from animtool.core.plugins import (
     ListedEntry,
-    listed_entries,
+    describe_entries,
     load_object,
     load_plugin,
     plugin_entry_points,
@@ -145,6 +145,6 @@ def listed_executors() -> list[ListedEntry]:
     ['dask', 'processes', 'serial']
     """
     entry_points = plugin_entry_points(PLUGIN_GROUP)
-    return listed_entries(
+    return describe_entries(
         EXECUTORS, entry_points, find_executor, lambda entry: (True, entry.about), False
     )

@@ -76,8 +76,8 @@ def rewrite_failures(path: Path, failures: Mapping[str, str]) -> None:
         path.unlink(missing_ok=True)
         return
     with (
-        replacement_path(path) as temporary,
-        LineWriter(temporary, FAILURES_HEADER) as writer,
+        replacement_path(path) as temporary_path,
+        LineWriter(temporary_path, FAILURES_HEADER) as writer,
     ):
         writer.write(_failure_line(key, why) for key, why in failures.items())
 

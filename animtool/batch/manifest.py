@@ -268,8 +268,8 @@ def rewrite_manifest(
 ) -> None:
     """Replace a manifest atomically with one of the given items and names."""
     with (
-        replacement_path(path) as temporary,
-        ManifestWriter(temporary, Manifest()) as writer,
+        replacement_path(path) as temporary_path,
+        ManifestWriter(temporary_path, Manifest()) as writer,
     ):
         writer.add_names(known_names)
         for record in items:

@@ -92,7 +92,7 @@ class Fault:
         return self if self.path else replace(self, path=str(path))
 
     def __str__(self) -> str:
-        """Return ``file:line:column: CODE where: message; hint``, as far as known.
+        """Return the known parts of ``file:line:column: CODE where: message; hint``.
 
         Severities other than error precede the code. The result is one line, escaped by
         `escaped`, with arguments named as in Python.

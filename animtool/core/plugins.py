@@ -132,7 +132,7 @@ class ListedEntry:
     about: str  # its description, or why it cannot be loaded
 
 
-def listed_entries(
+def describe_entries(
     builtin_names: Iterable[str],
     entry_points: Mapping[str, EntryPoint],
     find: Callable[[str], EntryT],
@@ -193,7 +193,7 @@ class FormatTable(Generic[EntryT]):
                 return self.builtin[suffix]
             return load_plugin(points[suffix], self.kind)
 
-        return listed_entries(
+        return describe_entries(
             self.builtin, points, find, lambda entry: (uses(entry), about(entry)), ()
         )
 

@@ -76,7 +76,7 @@ def _entry_example(models: list[type[BaseModel]], key: str, value: Any) -> str |
 
 
 def faults_of_value(value: Any, error: ValidationError) -> LocatedFaults:
-    """Return the located faults (SCN002) of a value that belongs to no document."""
+    """Return the faults of a value outside a document (SCN002), with locations."""
     faults_by_location = _group_by_location(value, error)
     ancestor_locations = _ancestor_locations(faults_by_location)
     located_faults: LocatedFaults = []
@@ -472,7 +472,7 @@ class ModelFaults:
         if isinstance(value, dict) and value and str(next(iter(value)))[:1] == "-":
             self._record_bad_dash((*location, next(iter(value))), {})
         elif not self._depends_on_unknown_kind(location):
-            hint = _entry_hint(location, faults[0]) or _row_hint(location, faults)
+            hint = _non_mapping_hint(location, faults[0]) or _row_hint(location, faults)
             hint = hint or value_hint(location[-1], faults)
             hint = hint or self._limit_hint(location, faults)
             hint = hint or self._syntax_hint(location, faults)
@@ -570,7 +570,7 @@ def _row_hint(location: Location, faults: Sequence[Any]) -> str | None:
     return row_form and f"write rows {row_form}"
 
 
-def _entry_hint(location: Location, fault: Any) -> str | None:
+def _non_mapping_hint(location: Location, fault: Any) -> str | None:
     """Return a hint for options that were not written as a mapping; else None."""
     value = fault["input"]
     if fault["type"] != "dict_type":

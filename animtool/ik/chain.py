@@ -142,7 +142,7 @@ def unwrap_angles(chain: Chain, poses: FloatArray) -> FloatArray:
 
 
 def with_periods(chain: Chain) -> FloatArray:
-    """Return the chain's ``numbers`` with the limits of pins beyond a revolution set.
+    """Return the chain's ``numbers``, with limits for pins that exceed a revolution.
 
     Limits one revolution apart, or slightly more such as ±180.1°, are left out: an
     angle that crosses one continues at the other.

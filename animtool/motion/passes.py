@@ -21,7 +21,7 @@ from animtool.core.names import name_hint
 from animtool.core.old_names import old_objects, rename_attributes, renamed_arguments
 from animtool.core.plugins import (
     ListedEntry,
-    listed_entries,
+    describe_entries,
     load_object,
     load_plugin,
     plugin_entry_points,
@@ -329,7 +329,7 @@ def listed_passes() -> list[ListedEntry]:
     'blend'
     """
     entry_points = plugin_entry_points(PLUGIN_GROUP)
-    return listed_entries(
+    return describe_entries(
         sorted(PASSES), entry_points, find_pass, lambda p: (p.scope, p.summary), None
     )
 

@@ -96,12 +96,12 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         with (
             matplotlib.rc_context({"svg.hashsalt": "animtool"}),
             warnings.catch_warnings(),
-            replacement_path(path) as temporary,
+            replacement_path(path) as temporary_path,
         ):
             # Characters missing in a font are drawn as boxes, without a warning.
             warnings.filterwarnings("ignore", "Glyph", UserWarning)
             figure.savefig(
-                temporary, format=format_name, metadata=metadata[format_name]
+                temporary_path, format=format_name, metadata=metadata[format_name]
             )
     except OSError as error:
         raise output_error(path, error) from error

@@ -281,17 +281,17 @@ def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray
     hips, chest = body.lowest_common_ancestor(legs), body.lowest_common_ancestor(arms)
     trunk = positions[chest] - positions[hips]
     # Toes and hands point anywhere; mean limb positions are more reliable.
-    leg_drops = [
+    leg_vectors = [
         positions[body.path(hips, leg)].mean(axis=0) - positions[hips] for leg in legs
     ]
-    mean_drop = np.asarray(leg_drops).mean(axis=0)
-    lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(mean_drop))
+    mean_leg_vector = np.asarray(leg_vectors).mean(axis=0)
+    lengths = float(np.linalg.norm(trunk)), float(np.linalg.norm(mean_leg_vector))
     if min(lengths) <= 0.05 * body.size:
         return None
-    cosine = float(trunk @ mean_drop) / (lengths[0] * lengths[1])
+    cosine = float(trunk @ mean_leg_vector) / (lengths[0] * lengths[1])
     if cosine >= _MAX_UPRIGHT_COSINE:
         return None
-    return np.asarray(trunk / lengths[0] - mean_drop / lengths[1])
+    return np.asarray(trunk / lengths[0] - mean_leg_vector / lengths[1])
 
 
 def find_left_direction(

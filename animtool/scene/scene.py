@@ -261,7 +261,7 @@ class Scene:
         )
 
     def _metered_source(self, progress: Progress = None) -> TakeStream:
-        """Return the joined sources in frames of the shot, charged to the meter."""
+        """Return the joined sources in frames of the shot, and meter their cost."""
         self.meter.stages.clear()
         if not self.sources:
             message = "is simulated, and has no source with joints"

@@ -339,7 +339,7 @@ def findings_of_rule(rule: Rule, path: Path) -> list[Fault]:
 
 
 def _rule_subjects(rule: Rule, checked_file: CheckedFile) -> Sequence[object]:
-    """Return the subjects of a rule in a file; none if the reader refused the file."""
+    """Return the objects of a file that a rule checks; none if it could not be read."""
     if rule.takes:
         return checked_file.takes
     return () if checked_file.subject is None else (checked_file.subject,)

@@ -16,7 +16,7 @@ from support.farm import other_worker, packages
 
 from animtool.batch.cluster_worker import (
     InputCheck,
-    WorkerCheck,
+    WorkerRequirements,
     builder_versions,
     prepare_worker,
     stop_run,
@@ -66,11 +66,11 @@ def test_an_input_that_is_another_here(
     assert path in [one.resolve() for one in delivery.locally_changed(other)]
 
 
-def check(folder: Path, **given: Any) -> WorkerCheck:
+def check(folder: Path, **given: Any) -> WorkerRequirements:
     batch = find_batch(BatchSpec((str(folder / "takes"),), folder))
     builder = ItemBuilder(batch.item_task, batch.root)
     task = WorkerTask(builder, Limits(), str(folder))
-    return replace(WorkerCheck(task, (), {}), **given)
+    return replace(WorkerRequirements(task, (), {}), **given)
 
 
 def test_what_a_worker_lacks(tmp_path: Path) -> None:

@@ -90,7 +90,7 @@ class Drop:
 
         def work() -> None:
             fluid = build(spec, context)
-            state = fluid.initial()
+            state = fluid.initial_state()
             for k in range(SWINGS * STEPS + 1):
                 states.append(state.motion)
                 off = state.motion[0] - state.motion[0].mean(axis=0)

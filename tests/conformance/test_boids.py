@@ -68,7 +68,7 @@ def test_it_flies_as_the_reference_does(boids: Boids) -> None:
     told = boids.statistics
     assert told is not None
     flock = boids.flock(step=told["h"])
-    state, found = flock.initial(), []
+    state, found = flock.initial_state(), []
     count = round(told["T"] / told["h"])
     every = count // len(told["polarisation_every_0_25s"])
     for i in range(count):

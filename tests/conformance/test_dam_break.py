@@ -37,7 +37,7 @@ def dams() -> list[Any]:
 def test_bounds_hold_in_every_frame(dam: Dam) -> None:
     """No particle is ever before the fastest front, nor outside."""
     fluid = dam.fluid(step=STEP)
-    state = fluid.initial()
+    state = fluid.initial_state()
     begin = fluid.diagnostics(state, 0.0).energy
     assert begin is not None
     # By default the large ones run until they have met the far wall.
@@ -71,7 +71,7 @@ def test_it_settles_at_its_height_and_pressure(dam: Dam) -> None:
     if dam.params["n"] > SMALL and not is_full():
         pytest.skip("for --hypothesis-profile=full")
     fluid = dam.fluid(step=STEP, viscosity=0.003)
-    state, heights, pressures = fluid.initial(), [], []
+    state, heights, pressures = fluid.initial_state(), [], []
     for k in range(round(9 / STEP)):
         state = fluid.step(state, k * STEP, STEP).state
         if k * STEP > 7:

@@ -35,7 +35,7 @@ def test_accelerations_energy_and_momenta(disc: Disc) -> None:
     assert_allclose(x[:5], disc.first["x"], atol=1e-12)
     assert_allclose(v[:5], disc.first["v"], atol=1e-12)
     made = disc.nbody(accuracy=0)
-    state, reference = made.initial(), disc.reference
+    state, reference = made.initial_state(), disc.reference
     found = state.gravity.accelerations
     rms = np.sqrt((found**2).sum(axis=1).mean())
     assert rms == pytest.approx(reference["accel_rms"], rel=DIRECT)
@@ -51,14 +51,14 @@ def test_accelerations_energy_and_momenta(disc: Disc) -> None:
 
 @pytest.mark.parametrize("disc", discs())
 def test_a_tree_is_as_near_as_the_data_ask(disc: Disc) -> None:
-    exact = disc.nbody(accuracy=0).initial().gravity.accelerations
+    exact = disc.nbody(accuracy=0).initial_state().gravity.accelerations
     for accuracy in (TREE, 1e-4):
         made = disc.nbody(accuracy=accuracy)
-        found = made.initial().gravity.accelerations
+        found = made.initial_state().gravity.accelerations
         errors = np.linalg.norm(found - exact, axis=1) / np.linalg.norm(exact, axis=1)
         assert np.sqrt((errors**2).mean()) < accuracy
         if made.uses_tree:
-            told = made.diagnostics(made.initial(), 0.0).values["force_error"]
+            told = made.diagnostics(made.initial_state(), 0.0).values["force_error"]
             assert 0 < told < 3 * accuracy
 
 
@@ -82,7 +82,7 @@ def test_leapfrog_turns_it_as_the_reference_does(disc: Disc) -> None:
     assert told is not None
     step = told["leapfrog_h"]
     made = disc.nbody(step, accuracy=0)
-    state = made.initial()
+    state = made.initial_state()
     for k in range(round(told["T"] / step)):
         state = made.step(state, k * step, step)
     found = state.motion[0][:10]

@@ -55,7 +55,7 @@ class Swing:
     spec: Spec
     context: SimContext
 
-    def initial(self) -> np.ndarray:
+    def initial_state(self) -> np.ndarray:
         return np.array([1.0, 0.0])
 
     def step(self, state: np.ndarray, t: float, dt: float) -> np.ndarray:  # noqa: ARG002

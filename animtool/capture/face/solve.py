@@ -362,11 +362,11 @@ def _notices(
             message += f"first, frames {listed(frames, MAX_LISTED_FRAMES)}"
             notices.append(Fault(code, message, severity=Severity.WARNING))
     is_used = is_visible & is_usable[:, None]
-    visible_counts = is_used.sum(axis=0)
+    used_counts = is_used.sum(axis=0)
     misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)
-    is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(visible_counts, 1)
+    is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(used_counts, 1)
     for names, verbs, problem in (
-        (list(compress(model.names, visible_counts == 0)), ("is", "are"), "never seen"),
+        (list(compress(model.names, used_counts == 0)), ("is", "are"), "never seen"),
         (
             list(compress(model.names, is_misplaced)),
             ("does", "do"),

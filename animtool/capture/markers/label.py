@@ -372,12 +372,14 @@ def _swap_where_better(
 
     Runs are tested in groups that end at a gap of both markers.
     """
-    pair_runs = np.flatnonzero(np.isin(labels.run_markers, pair))
+    pair_run_indices = np.flatnonzero(np.isin(labels.run_markers, pair))
     first, last = labels.tracklets.first, labels.tracklets.last
-    pair_runs = pair_runs[np.argsort(first[pair_runs], kind="stable")]
-    ends = np.maximum.accumulate(last[pair_runs])
+    pair_run_indices = pair_run_indices[
+        np.argsort(first[pair_run_indices], kind="stable")
+    ]
+    ends = np.maximum.accumulate(last[pair_run_indices])
     run_groups = np.split(
-        pair_runs, np.flatnonzero(first[pair_runs][1:] > ends[:-1]) + 1
+        pair_run_indices, np.flatnonzero(first[pair_run_indices][1:] > ends[:-1]) + 1
     )
     if len(run_groups) < 2:
         return

@@ -106,7 +106,7 @@ def point_errors(
 
 
 @dataclass(slots=True)
-class TrackBudget:
+class TrackReduction:
     """A track with its current tolerance, fitted keys and their errors."""
 
     track: KeyTrack  # samples of one channel
@@ -121,13 +121,15 @@ class TrackBudget:
     straight_starts: IntArray = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
-    def from_track(track: KeyTrack, tolerance: float) -> TrackBudget:
+    def from_track(track: KeyTrack, tolerance: float) -> TrackReduction:
         """Return a track with keys fitted to the same tolerance in all frames."""
         ones = np.ones(len(track.samples))
         keys = fit_keys(track.samples, tolerance, bounds=track.range)
-        budget = TrackBudget(track, tolerance, ones, keys, 0 * ones, track.samples)
-        budget.update_errors()
-        return budget
+        reduction = TrackReduction(
+            track, tolerance, ones, keys, 0 * ones, track.samples
+        )
+        reduction.update_errors()
+        return reduction
 
     def scale_tolerance(self, factor: float) -> None:
         """Multiply the tolerance by a factor in all frames, and refit the keys."""

@@ -9,7 +9,7 @@ import numpy as np
 from animtool.clip.reduction.keys import ChannelKind, ReducedChannel, Reduction
 from animtool.clip.reduction.points import (
     SHELL_DISTANCE,
-    TrackBudget,
+    TrackReduction,
     attached_points,
     joint_bounds,
     point_distances,
@@ -107,27 +107,29 @@ def reduce_motion(
     joint_tracks = [t for t in tracks if t.kind is not ChannelKind.WEIGHT]
 
     base_motion = None if base is None else base.motion
-    budgets: list[TrackBudget] = []
+    reductions: list[TrackReduction] = []
     search_result = _SearchResult(np.zeros((motion.frames, 1)), 0.0, 0)
     if rig.joints:
         world_errors = _WorldErrors(rig, motion, base_motion, bounds)
         if start is not None:
             world_errors.pose = additive_pose(rig, start, base_motion)
-        budgets = [
-            TrackBudget.from_track(t, world_errors.initial_tolerance(t))
+        reductions = [
+            TrackReduction.from_track(t, world_errors.initial_tolerance(t))
             for t in joint_tracks
             if t.is_animated
         ]
-        search_result = _search_tolerances(world_errors, budgets)
-    weight_budgets = [
-        TrackBudget.from_track(track, weight_tolerance)
+        search_result = _search_tolerances(world_errors, reductions)
+    weight_reductions = [
+        TrackReduction.from_track(track, weight_tolerance)
         for track in weight_tracks
         if track.is_animated
     ]
 
     errors = search_result.errors
     frame, joint = divmod(int(np.argmax(errors)), errors.shape[1])
-    keys = {(b.track.kind, b.track.index): b.keys for b in [*budgets, *weight_budgets]}
+    keys = {
+        (b.track.kind, b.track.index): b.keys for b in [*reductions, *weight_reductions]
+    }
     return Reduction(
         clock=take.clock,
         channels=tuple(
@@ -145,7 +147,9 @@ def reduce_motion(
         joint=rig.joints[joint].name if rig.joints else "",
         frame=frame,
         held=search_result.error_ratio <= 1,
-        weight_error=max((float(b.errors.max()) for b in weight_budgets), default=0.0),
+        weight_error=max(
+            (float(b.errors.max()) for b in weight_reductions), default=0.0
+        ),
         rounds=search_result.round_count,
     )
 
@@ -194,10 +198,10 @@ class _WorldErrors:
         is_rotation = track.kind is ChannelKind.ROTATION
         return float(np.degrees(tolerance)) if is_rotation else tolerance
 
-    def measure_errors(self, budgets: list[TrackBudget]) -> FloatArray:
+    def measure_errors(self, reductions: list[TrackReduction]) -> FloatArray:
         """Return every joint's error ``(F, J)`` [m] after updating the given tracks."""
-        for budget in budgets:
-            self.pose.set_track(budget.track, budget.values)
+        for reduction in reductions:
+            self.pose.set_track(reduction.track, reduction.values)
         self.reduced_world = self.pose.world_transforms(self.reduced_world)
         return point_errors(self.points, self.original_world, self.reduced_world)
 
@@ -212,31 +216,31 @@ class _WorldErrors:
 
 
 def _search_tolerances(
-    world: _WorldErrors, budgets: list[TrackBudget]
+    world: _WorldErrors, reductions: list[TrackReduction]
 ) -> _SearchResult:
     """Scale, then locally reduce channel tolerances until errors are within bounds."""
-    errors = world.measure_errors(budgets)
+    errors = world.measure_errors(reductions)
     round_count = 1
-    for _ in range(CALIBRATION_ROUNDS if budgets else 0):
+    for _ in range(CALIBRATION_ROUNDS if reductions else 0):
         error_ratios = subtree_maxima(world.rig.parents, errors / world.bounds)
-        for budget in budgets:
-            joint_ratios = error_ratios[:, budget.track.index]
+        for reduction in reductions:
+            joint_ratios = error_ratios[:, reduction.track.index]
             typical_ratio = float(np.quantile(joint_ratios, CALIBRATION_QUANTILE))
             factor = np.clip(0.9 / max(typical_ratio, 1e-9), 0.25, 4.0)
-            budget.scale_tolerance(float(factor))
-        errors = world.measure_errors(budgets)
+            reduction.scale_tolerance(float(factor))
+        errors = world.measure_errors(reductions)
         round_count += 1
     ratio = float((errors / world.bounds).max())
     while round_count < MAX_ROUNDS:
         changed_budgets = []
         if ratio > 1:
             moves_keys = round_count < FIRST_SPLITTING_ROUND
-            changed_budgets = _tighten_causes(world, budgets, errors, moves_keys)
-        for budget in budgets:
-            frames = _frames_beyond_limits(budget)
+            changed_budgets = _tighten_causes(world, reductions, errors, moves_keys)
+        for reduction in reductions:
+            frames = _frames_beyond_limits(reduction)
             if len(frames):
-                budget.straighten_segments(frames)
-                changed_budgets.append(budget)
+                reduction.straighten_segments(frames)
+                changed_budgets.append(reduction)
         if not changed_budgets:
             break
         errors = world.measure_errors(changed_budgets)
@@ -245,12 +249,12 @@ def _search_tolerances(
     return _SearchResult(errors, ratio, round_count)
 
 
-def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
+def _frames_beyond_limits(reduction: TrackReduction) -> IntArray:
     """Return the frames after which a ball's keys exceed its limits between samples.
 
     Between two samples, the larger excess of these samples is allowed.
     """
-    track = budget.track
+    track = reduction.track
     if not isinstance(track.limits, BallLimit) or len(track.samples) < 2:
         return np.zeros(0, np.int64)
     sample_excess = track.limit_excess(track.samples)
@@ -259,43 +263,45 @@ def _frames_beyond_limits(budget: TrackBudget) -> IntArray:
     substeps = np.arange(1, LIMIT_CHECKS_PER_FRAME * (len(sample_excess) - 1))
     times = substeps / LIMIT_CHECKS_PER_FRAME
     times_between = times[substeps % LIMIT_CHECKS_PER_FRAME != 0]
-    excess = track.limit_excess(evaluate_keys(budget.keys, times_between))
+    excess = track.limit_excess(evaluate_keys(reduction.keys, times_between))
     is_beyond = excess > allowed_excess
     first_frames = np.unique(np.floor(times_between[is_beyond]).astype(np.int64))
-    return np.setdiff1d(first_frames, budget.straight_starts)
+    return np.setdiff1d(first_frames, reduction.straight_starts)
 
 
 def _tighten_causes(
     world: _WorldErrors,
-    budgets: list[TrackBudget],
+    reductions: list[TrackReduction],
     errors: FloatArray,
     moves_keys: bool,
-) -> list[TrackBudget]:
+) -> list[TrackReduction]:
     """Reduce tolerances of channels that contribute most to errors above bounds."""
     frames, joints_beyond = np.argwhere(errors > world.bounds).T.astype(np.int64)
     excess = errors[frames, joints_beyond] / world.bounds[joints_beyond]
-    contributions = np.zeros((len(budgets), len(frames)))
-    for i, budget in enumerate(budgets):
-        joint = budget.track.index
+    contributions = np.zeros((len(reductions), len(frames)))
+    for i, reduction in enumerate(reductions):
+        joint = reduction.track.index
         is_affected = world.is_descendant[joint, joints_beyond]
         affected_frames, affected_joints = (
             frames[is_affected],
             joints_beyond[is_affected],
         )
         lever_arms = world.lever_arms(joint, affected_frames, affected_joints)
-        displacements = budget.displacement_per_unit(lever_arms)
-        displacements = displacements * budget.errors[affected_frames]
+        displacements = reduction.displacement_per_unit(lever_arms)
+        displacements = displacements * reduction.errors[affected_frames]
         contributions[i, is_affected] = displacements
     is_large = contributions >= 0.5 * contributions.max(axis=0, initial=0.0)
     changed_budgets = []
-    for budget, is_cause in zip(budgets, is_large & (contributions > 0), strict=True):
+    for reduction, is_cause in zip(
+        reductions, is_large & (contributions > 0), strict=True
+    ):
         if is_cause.any():
             bad_frames, indices = np.unique(frames[is_cause], return_inverse=True)
             largest_excess = np.zeros(len(bad_frames))
             np.maximum.at(largest_excess, indices, excess[is_cause])
-            factors = budget.errors[bad_frames] * 0.9 / largest_excess
-            budget.tighten_frames(bad_frames, factors, moves_keys=moves_keys)
-            changed_budgets.append(budget)
+            factors = reduction.errors[bad_frames] * 0.9 / largest_excess
+            reduction.tighten_frames(bad_frames, factors, moves_keys=moves_keys)
+            changed_budgets.append(reduction)
     return changed_budgets
 
 

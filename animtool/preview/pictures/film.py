@@ -29,9 +29,9 @@ def write_picture(path: Path, pixels: Array) -> None:
     if path.suffix.lower() == ".webp":
         settings = {"format": "WEBP", "quality": 90, "method": 6}
     image = image_module.fromarray(np.ascontiguousarray(pixels))
-    with replacement_path(path) as temporary:
+    with replacement_path(path) as temporary_path:
         try:
-            image.save(temporary, **settings)
+            image.save(temporary_path, **settings)
         except OSError as error:
             raise output_error(path, error) from error
 
@@ -55,10 +55,10 @@ def film_writer(
     """
     av = import_package("av")
     palette = _palette_image(palette_frames) if kind.pixels == "pal8" else None
-    with replacement_path(path) as temporary:
+    with replacement_path(path) as temporary_path:
         try:
             with av.open(
-                str(temporary),
+                str(temporary_path),
                 "w",
                 format=kind.container,
                 options=dict(kind.file_settings),

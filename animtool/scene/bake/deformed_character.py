@@ -104,11 +104,11 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
 
 
 def motion_chunks(
-    blocks: TimedBlocks, *, has_neighbours: bool
+    blocks: TimedBlocks, *, includes_neighbour_frames: bool
 ) -> Iterator[tuple[FloatArray, Motion, slice]]:
     """Yield a motion in short chunks, each with the slice of the frames to write.
 
-    With ``has_neighbours``, chunks include the frames before and after these.
+    With ``includes_neighbour_frames``, chunks include the frame on either side.
     """
     previous_frame: tuple[FloatArray, Motion] | None = None
     chunk_iterator = split_blocks(blocks, CHUNK_FRAMES)
@@ -117,14 +117,16 @@ def motion_chunks(
         next_chunk = next(chunk_iterator, None)
         codes, motion = chunk
         chunks = [chunk]
-        if has_neighbours and previous_frame is not None:
+        if includes_neighbour_frames and previous_frame is not None:
             chunks.insert(0, previous_frame)
-        if has_neighbours and next_chunk is not None:
+        if includes_neighbour_frames and next_chunk is not None:
             chunks.append((next_chunk[0][:1], next_chunk[1].select(slice(0, 1))))
         if len(chunks) > 1:
             codes = np.concatenate([codes for codes, _ in chunks])
             motion = Motion.concatenate([motion for _, motion in chunks])
-        lead_count = 1 if has_neighbours and previous_frame is not None else 0
+        lead_count = (
+            1 if includes_neighbour_frames and previous_frame is not None else 0
+        )
         yield codes, motion, slice(lead_count, lead_count + len(chunk[0]))
         previous_frame = chunk[0][-1:], chunk[1].select(slice(-1, None))
         chunk = next_chunk

@@ -70,7 +70,7 @@ class PointStream:
         character = self.character
         self.seconds = [0.0] * len(character.meshes)
         for codes, motion, written_frames in motion_chunks(
-            timed_blocks, has_neighbours=self.has_velocities
+            timed_blocks, includes_neighbour_frames=self.has_velocities
         ):
             mapped_motion = motion
             if character.joint_map is not None:

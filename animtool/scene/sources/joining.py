@@ -86,8 +86,8 @@ class _Layer:
         clock = self.take.clock
         if self.source.stream.curve is None:
             return sample_other_take(self.take, rate, first, count, self.delay * rate)
-        begin_code = clock.start + (first / rate - self.delay) * clock.fps
-        return self._sample_curve(time_codes(begin_code, clock.fps / rate, count))
+        start_code = clock.start + (first / rate - self.delay) * clock.fps
+        return self._sample_curve(time_codes(start_code, clock.fps / rate, count))
 
     def sample(self, seconds: FloatArray) -> Motion:
         """Return the motion at times after the first frame of the first source [s]."""

@@ -132,12 +132,12 @@ class _TimedProp:
     """A prop sampled at the frames of a take."""
 
     open_prop: OpenProp
-    begin_code: Fraction  # time code of its file at the first frame
+    start_code: Fraction  # time code of its file at the first frame
     step: Fraction  # time codes of its file per frame
 
     def times(self, first: int, count: int) -> FloatArray:
         """Return the time codes of the prop at frames of the take ``(count,)``."""
-        return time_codes(self.begin_code + first * self.step, self.step, count)
+        return time_codes(self.start_code + first * self.step, self.step, count)
 
     def track(
         self,
@@ -152,7 +152,7 @@ class _TimedProp:
         rate = stream.step / self.step
 
         def inverse_placement(times: FloatArray) -> Placement:
-            codes = float(start) + (times - float(self.begin_code)) * float(rate)
+            codes = float(start) + (times - float(self.start_code)) * float(rate)
             return dropped_placement(codes).inverse()
 
         return apply_animated_placement(track, inverse_placement)
@@ -202,9 +202,9 @@ class _PropStream:
     def prop_times(self, times: FloatArray) -> FloatArray:
         """Return the time codes of every prop ``(F, N)`` at time codes of the take."""
         frames = (times - float(self.stream.first_frame)) / float(self.stream.step)
-        begin_codes = np.array([float(prop.begin_code) for prop in self.props])
+        start_codes = np.array([float(prop.start_code) for prop in self.props])
         steps = np.array([float(prop.step) for prop in self.props])
-        return np.asarray(begin_codes + frames[:, None] * steps)
+        return np.asarray(start_codes + frames[:, None] * steps)
 
 
 def _times_channel(times: FloatArray) -> Channel:

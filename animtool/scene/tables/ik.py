@@ -121,12 +121,12 @@ def solve_trial(
 
 def _point_label(solution: TakeIk, snapshot: int, point: int) -> str:
     """Return the goal of a compared point and the frame of a snapshot, as text."""
-    goal, _, _ = _compared_points(solution)[point]
+    goal, _, _ = _effectors(solution)[point]
     frame = float(solution.take.clock.times[snapshot])
     return f"{solution.tracks.goals[goal].name} at frame {frame:g}"
 
 
-def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
+def _effectors(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
     """Return the goal, joint and offset of each point that is compared."""
     points = []
     for i, track in enumerate(solution.tracks.goals):
@@ -144,9 +144,9 @@ def _compared_points(solution: TakeIk) -> list[tuple[int, int, FloatArray]]:
 
 def _outcome(solution: TakeIk) -> TrialOutcome:
     """Return the effector positions of a solution and their errors."""
-    take, compared_points = solution.take, _compared_points(solution)
-    joints = [joint for _, joint, _ in compared_points]
-    offsets = np.array([offset for _, _, offset in compared_points])
+    take, effectors = solution.take, _effectors(solution)
+    joints = [joint for _, joint, _ in effectors]
+    offsets = np.array([offset for _, _, offset in effectors])
     world = take.world()
     rotated_offsets = np.einsum("fpab,pb->fpa", world.linear[:, joints], offsets)
     points = world.positions[:, joints] + rotated_offsets

@@ -271,8 +271,8 @@ def _attachment_points(rig: Rig, body: AttachedBody, motion: Motion) -> FloatArr
         return motion.points[body.mesh.name].dense()
     assert isinstance(body, ChainBody)
     world = motion.world(rig)
-    shell = attached_points(rig, SHELL_DISTANCE)[body.joints, :, None]
-    rotated_shell = world.linear[:, body.joints, None] * shell
-    points = world.positions[:, body.joints, None] + rotated_shell.sum(axis=-1)
+    offsets = attached_points(rig, SHELL_DISTANCE)[body.joints, :, None]
+    rotated_offsets = world.linear[:, body.joints, None] * offsets
+    points = world.positions[:, body.joints, None] + rotated_offsets.sum(axis=-1)
     all_points: FloatArray = points.reshape(motion.frames, -1, 3)
     return all_points

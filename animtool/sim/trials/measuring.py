@@ -273,8 +273,8 @@ def _energy_drift(energies: Sequence[Energy] | None) -> float | None:
     if not energies:
         return None
     totals = np.array([energy.total for energy in energies])
-    kinetic = max(energy.kinetic for energy in energies)
-    max_energy = max(kinetic, abs(float(totals[0])))
+    max_kinetic_energy = max(energy.kinetic for energy in energies)
+    max_energy = max(max_kinetic_energy, abs(float(totals[0])))
     return (
         float(np.abs(totals - totals[0]).max()) / max_energy if max_energy > 0 else None
     )

@@ -112,7 +112,7 @@ class AttachmentActor:
         )
         self.animated_positions = positions = body.targets(start_samples)[0]
         self._joint_transforms, self._time = start_samples.world, 0.0
-        self.coincident_links = coincident_link_count(network, positions)
+        self.coincident_link_count = coincident_link_count(network, positions)
         self._plan.system.joint_colliders = self._colliders.character_range
         self.grid = self._plan.start(0.0, at_rest(positions))
         self.tangle_warnings: list[Fault] = []

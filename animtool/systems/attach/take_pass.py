@@ -156,9 +156,9 @@ def _start_notices(actor: AttachmentActor) -> list[Fault]:
     if defects:
         message = f"{name}: {listed(defects)}; it is simulated as it is"
         notices.append(Fault("SIM106", message, severity=Severity.NOTE))
-    if actor.coincident_links:
-        springs = counted(actor.coincident_links, "spring")
-        if actor.coincident_links == len(network.structural):
+    if actor.coincident_link_count:
+        springs = counted(actor.coincident_link_count, "spring")
+        if actor.coincident_link_count == len(network.structural):
             springs = "every spring"
         message = f"{name}: the ends of {springs} are at the same position in the "
         message += "first pose"

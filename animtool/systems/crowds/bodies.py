@@ -79,7 +79,9 @@ class AgentBodies(Footing):
         moving_rotations = [gait.rotations[:, joints] for gait in gaits.cycles]
         return moving_rotations, gaits.idle.rotations[:, joints]
 
-    def initial(self, motion: AgentMotion, random_phases: FloatArray) -> BodyState:
+    def initial_state(
+        self, motion: AgentMotion, random_phases: FloatArray
+    ) -> BodyState:
         """Return bodies standing at the start, with random phases ``(N,)``."""
         count = len(random_phases)
         motions = np.zeros((count, 3))

@@ -71,11 +71,13 @@ class AgentCast:
         order = np.concatenate([group.agents for group in groups])
         return AgentCast(groups, order)
 
-    def initial(self, motion: AgentMotion, random_phases: FloatArray) -> BodyState:
+    def initial_state(
+        self, motion: AgentMotion, random_phases: FloatArray
+    ) -> BodyState:
         """Return the initial bodies of all agents, with random phases ``(N,)``."""
         return self._in_agent_order(
             [
-                group.bodies.initial(
+                group.bodies.initial_state(
                     motion.select(group.agents), random_phases[group.agents]
                 )
                 for group in self.groups
@@ -213,7 +215,7 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
     motion = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
     level_bodies = replace(bodies, scales=np.ones(count), ground=Terrain())
-    initial = level_bodies.initial(motion, np.zeros(count))
+    initial = level_bodies.initial_state(motion, np.zeros(count))
     poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
     animated_joints = bodies.animated_joints
     if can_fall:

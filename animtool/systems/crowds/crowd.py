@@ -105,9 +105,9 @@ class Crowd:
             [population.acceleration for population in self.agents.entries]
         )
 
-    def initial(self) -> CrowdState:
+    def initial_state(self) -> CrowdState:
         """Return the initial state, with headings along the preferred velocities."""
-        x, progress = self.start_points, self.steering.initial()
+        x, progress = self.start_points, self.steering.initial_state()
         zero_velocities = np.zeros_like(x)
         preferred_velocities = self.steering.preferred_velocities(
             np.inf, self.begin, progress, x
@@ -116,7 +116,7 @@ class Crowd:
         bodies = None
         if self.cast is not None:
             motion = AgentMotion(x, zero_velocities, headings)
-            bodies = self.cast.initial(motion, self.agents.clip_phases)
+            bodies = self.cast.initial_state(motion, self.agents.clip_phases)
         falls = (
             None if self.fall_simulator is None else self.fall_simulator.empty_falls()
         )

@@ -204,7 +204,7 @@ def _cycle_gait(walker: Walker, name: str, take: Take) -> Gait | None:
 
 @dataclass(frozen=True)
 class FootStance:
-    """Frames between which a foot is planted."""
+    """A range of frames in which a foot is planted."""
 
     begin: int  # first frame
     end: int  # frame after the last

@@ -144,7 +144,7 @@ class FallSimulator:
             pair_linear = np.concatenate([next_pose.linear, pose.linear])
             pose_pair = WorldTransforms(pair_positions, pair_linear)
             times = np.array([dt, 0.0])
-            motion = simulation.initial().motion.copy()
+            motion = simulation.initial_state().motion.copy()
             motion[:, 7:13] = ragdoll_velocities(ragdoll, pose_pair, times, 1)
             states = np.zeros((1, *falls.motion.shape[1:]))
             states[0, : len(motion)] = motion
@@ -185,7 +185,7 @@ class FallSimulator:
             agent, falls.positions[row], falls.turns[row]
         )
         rig, motion = ragdoll.rig, falls.motion[row, : len(ragdoll.joints)]
-        state = replace(simulation.initial(), motion=np.ascontiguousarray(motion))
+        state = replace(simulation.initial_state(), motion=np.ascontiguousarray(motion))
         frame = simulation.frame(state, 0.0)
         count = len(rig.joints)
         initial_rotations = _local_rotations(rig, falls.turns[row, :count])
@@ -238,7 +238,7 @@ def _step_ragdoll(
     simulation: RigidSimulation, body_states: FloatArray, t: float, dt: float
 ) -> FloatArray:
     """Return body states ``(B, 14)`` after a step [s]; fast bodies take substeps."""
-    initial = simulation.initial()
+    initial = simulation.initial_state()
     for substep_count in (1, FAST_SUBSTEPS):
         states, substep = body_states, dt / substep_count
         for i in range(substep_count):

@@ -100,23 +100,25 @@ def _solve_leg_ik(
     goals = _move_into_reach(walker, joints, goals, state.swings >= 0)
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         hip_parent = int(rig.parents[thigh])
-        upper_leg, lower_leg = ankle_rotations(
+        thigh_rotation, shin_rotation = ankle_rotations(
             walker.skeleton,
             SIDE_LETTERS[k],
             joints[:, [thigh, shin, foot]],
             goals[:, k],
             (world_rotations[thigh], world_rotations[shin]),
         )
-        level_rotation = np.broadcast_to(walker.level_rotations[k], upper_leg.shape)
-        sole = so3.multiply(soles[:, k], level_rotation)
+        level_rotation = np.broadcast_to(
+            walker.level_rotations[k], thigh_rotation.shape
+        )
+        sole_rotation = so3.multiply(soles[:, k], level_rotation)
         if hip_parent >= 0:
             hip_rotation = world_rotations[hip_parent]
         else:
-            hip_rotation = np.broadcast_to(so3.IDENTITY, upper_leg.shape)
+            hip_rotation = np.broadcast_to(so3.IDENTITY, thigh_rotation.shape)
         for joint, parent, joint_rotation in (
-            (thigh, hip_rotation, upper_leg),
-            (shin, upper_leg, lower_leg),
-            (foot, lower_leg, sole),
+            (thigh, hip_rotation, thigh_rotation),
+            (shin, thigh_rotation, shin_rotation),
+            (foot, shin_rotation, sole_rotation),
         ):
             rotations[:, joint] = so3.multiply(so3.conjugate(parent), joint_rotation)
     return hip_lowerings

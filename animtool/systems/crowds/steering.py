@@ -78,7 +78,7 @@ class Steering:
             actions == "leave",
         )
 
-    def initial(self) -> Progress:
+    def initial_state(self) -> Progress:
         """Return the initial progress."""
         count = len(self.agents)
         stages, tickets = np.zeros(count, np.int64), np.full(count, NO_TICKET)

@@ -308,7 +308,7 @@ class Flock:
     meshes: tuple[MeshFrame, ...]  # meshes of all species
     mesh_ranges: IntArray  # first mesh and number of meshes of each species (S, 2)
 
-    def initial(self) -> FlockState:
+    def initial_state(self) -> FlockState:
         """Return the members at the start, with headings if they are meshes."""
         motion = self.system.motion
         if not self.meshes:

@@ -191,7 +191,7 @@ def _check_outside(
     refuse("SIM064", message, location, "move it, or remove it")
 
 
-def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> None:
+def _check_distinct(spec: FluidModel, points: FloatArray, fill_ends: IntArray) -> None:
     """Raise SIM064 if particles are closer than pressure can separate."""
     from scipy.spatial import cKDTree
 
@@ -206,8 +206,8 @@ def _check_distinct(spec: FluidModel, points: FloatArray, ends: IntArray) -> Non
     )
     names = []
     for i in (first_particle, second_particle):
-        k = int(np.searchsorted(ends, i, side="right"))
-        begin = int(ends[k - 1]) if k else 0
+        k = int(np.searchsorted(fill_ends, i, side="right"))
+        begin = int(fill_ends[k - 1]) if k else 0
         names.append(f"particle {i - begin} of {_fill_label(spec, k)}")
     gap = float(np.linalg.norm(points[first_particle] - points[second_particle]))
     message = f"{names[0]} and {names[1]} start {gap:g} m apart, but the spacing is "

@@ -129,7 +129,7 @@ class Fluid:
         is_static &= all(collider.poses.is_fixed for collider in colliders)
         self._conserves_energy = is_static
 
-    def initial(self) -> FluidState:
+    def initial_state(self) -> FluidState:
         """Return the initial fluid, with its speed of sound and its energy bound."""
         count = self._initial_motion.shape[1]
         state = FluidState(
@@ -181,8 +181,9 @@ class Fluid:
 
     def _energy(self, state: FluidState) -> tuple[float, float, bool]:
         """Return total and kinetic energy [J], and if all forces have a potential."""
-        kinetic = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
-        particles, total, has_all_potentials = self._particles(state), kinetic, True
+        kinetic_energy = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
+        particles, has_all_potentials = self._particles(state), True
+        total = kinetic_energy
         for force in self._forces:
             potentials = force.potential(state.motion[0], particles)
             has_all_potentials &= potentials is not None
@@ -191,7 +192,7 @@ class Fluid:
             points = np.ascontiguousarray(state.motion[0])
             area = _kernels.fluid_area(points, self._spec.spacing)
             total += self._spec.tension * area
-        return total, kinetic, has_all_potentials
+        return total, kinetic_energy, has_all_potentials
 
     def _solve_pressure(
         self,
@@ -332,12 +333,12 @@ class Fluid:
 
     def _has_energy_gain(self, state: FluidState) -> bool:
         """Return whether the energy of a closed system grew beyond the tolerance."""
-        total, kinetic, has_all_potentials = self._energy(state)
+        total, kinetic_energy, has_all_potentials = self._energy(state)
         if not has_all_potentials or not self._conserves_energy:
             return False
         gain = total - state.energy
         # Potential energy is exchanged as well.
-        exchanged_energy = max(kinetic, state.energy - (total - kinetic))
+        exchanged_energy = max(kinetic_energy, state.energy - (total - kinetic_energy))
         mass = self._mass * len(state.ids)
         exchanged_energy += mass * state.sound**2 * self._spec.compression
         return gain > MAX_ENERGY_GROWTH * exchanged_energy
@@ -482,7 +483,7 @@ class Fluid:
 
     def diagnostics(self, state: FluidState, t: float) -> Diagnostics:  # noqa: ARG002
         """Return the number, compression, pressure and speed of particles."""
-        total, kinetic, has_all_potentials = self._energy(state)
+        total, kinetic_energy, has_all_potentials = self._energy(state)
         speeds = np.linalg.norm(state.motion[1], axis=1)
         values = {
             "particles": float(len(state.ids)),
@@ -499,7 +500,7 @@ class Fluid:
         empty_warning = warning("SIM188", message, hint)
         energy = None
         if has_all_potentials and self._conserves_energy:
-            energy = Energy(kinetic, total - kinetic)
+            energy = Energy(kinetic_energy, total - kinetic_energy)
         return Diagnostics(energy, values, self._notices, [empty_warning])
 
 

@@ -60,7 +60,7 @@ class Substeps:
         return self._sound_speed(head) if math.isfinite(head) else 0.0
 
     def _sound_speed(self, head: float) -> float:
-        """Return the speed of sound [m/s] for a pressure over density [m²/s²]."""
+        """Return the sound speed [m/s] for a ratio of pressure to density [m²/s²]."""
         return math.sqrt(head * COMPRESSION_MARGIN / self._spec.compression)
 
     def step_sound_speed(

@@ -44,7 +44,7 @@ class CarrierBodies(BodyColliders):
         super().__init__(run, simulation, 0.0, 0.0, two_way=True)
         self.system = simulation
         self.begin, self.step = begin, step
-        self._start_state: Any = simulation.initial()
+        self._start_state: Any = simulation.initial_state()
 
     def body_index(self, carrier: BodyCarrier) -> int:
         """Return the index of a carrier's body; raise SIM162 if the name is unknown."""

@@ -154,7 +154,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     def finish_setup(self) -> None:
         """Check that the method fits; set colour ranges from the first state."""
-        state = self.initial()
+        state = self.initial_state()
         check_supported(Equations(self._system(state)), self._integrator)
         if self._spec.colour is not None:
             quantities = self._quantities(state, self._begin)
@@ -248,7 +248,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
             energies += energy
         return accelerations, energies
 
-    def initial(self) -> State:
+    def initial_state(self) -> State:
         """Return the bodies at the start, with the sums at their positions."""
         return self._initial_state
 

@@ -153,7 +153,9 @@ class SimulationRun(EntryRun):
     ) -> None:
         super().__init__(name, self, simulation)
         self.begin, self.step_length = begin, step_length
-        self.state = ReachedState(0, simulation.initial()) if state is None else state
+        self.state = (
+            ReachedState(0, simulation.initial_state()) if state is None else state
+        )
         self.steps_taken = 0
         self.step_notices: list[Fault] = []
         # States that observers may still request.

@@ -51,7 +51,10 @@ def write_states(
         arrays[f"{prefix}state"] = np.array(_names_text(state))
         arrays |= {f"{prefix}state/{key}": rows for key, rows in state.items()}
     try:
-        with replacement_path(path) as temporary, temporary.open("wb") as file:
+        with (
+            replacement_path(path) as temporary_path,
+            temporary_path.open("wb") as file,
+        ):
             np.savez(file, **arrays)  # type: ignore[arg-type]
     except OSError as error:
         raise output_error(path, error) from error

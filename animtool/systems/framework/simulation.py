@@ -114,7 +114,7 @@ class Simulation(Protocol[State]):
     `HasCollisionSurface`. An attribute ``step_length`` [s] overrides the step.
     """
 
-    def initial(self) -> State:
+    def initial_state(self) -> State:
         """Return the state at the time of the first step."""
 
     def step(self, state: State, t: float, dt: float) -> State | SteppedState[State]:

@@ -68,7 +68,7 @@ class RigidSystem(Protocol):
     def shared(self) -> SystemBodies:
         """Names, masses and shapes of the bodies."""
 
-    def initial(self) -> Any:
+    def initial_state(self) -> Any:
         """Return the state at the time of the first step."""
 
     def step(self, state: Any, t: float, dt: float) -> Any:

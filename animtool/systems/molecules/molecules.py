@@ -162,7 +162,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     def finish_setup(self) -> None:
         """Check the initial state, and set colour ranges from that state."""
-        start, refusals = self.initial(), RefusalCollector()
+        start, refusals = self.initial_state(), RefusalCollector()
         with refusals.collect():
             self._check_numbers(start)
         with refusals.collect():

@@ -31,7 +31,7 @@ MIN_TREE_ACCURACY = 1e-6
 ERROR_SAMPLES = 16
 # Largest orbital phase of a close pair in a step [rad], with softening, and without,
 # where energies grow a hundredfold in an encounter.
-MAX_PHASE, MAX_UNSOFTENED_PHASE = 0.15, 0.03
+MAX_STEP_PHASE, MAX_UNSOFTENED_STEP_PHASE = 0.15, 0.03
 # Allowed growth of the orbital rate in a step, as it is checked at the start of it.
 RATE_TOLERANCE = 1.5
 # Recommended step relative to the free-fall time to the centre.
@@ -115,7 +115,9 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         """Start with the bodies of each entry; bodies of galaxies are last."""
         super().__init__(spec, context, "attractors")
         self._has_fixed_steps = self._integrator.control is StepControl.FIXED
-        self._max_phase = MAX_PHASE if spec.softening else MAX_UNSOFTENED_PHASE
+        self._max_phase = (
+            MAX_STEP_PHASE if spec.softening else MAX_UNSOFTENED_STEP_PHASE
+        )
         self.bodies = PointMasses.concatenate(body_sets)
         counts = [len(entry.masses) for entry in body_sets]
         self.has_many_species = len(body_sets) > 1
@@ -225,7 +227,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         message = (
             f"{pair} at {t:.6g} s, too close for steps of {dt / max_substeps:.3g} s"
         )
-        max_rate = (MAX_PHASE * max_substeps / dt) ** 2
+        max_rate = (MAX_STEP_PHASE * max_substeps / dt) ** 2
         softening_length = (self._spec.gravity_constant * mass / max_rate) ** (1 / 3)
         hint = f"use softening: {1.05 * softening_length:.3g}, or more substeps"
         return StoppedError([Fault("SIM110", message, hint=hint)])
@@ -275,7 +277,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
             momentum_magnitudes = self.bodies.masses * np.linalg.norm(v, axis=1)
             angular_scale = momentum_magnitudes @ np.linalg.norm(x, axis=1)
             scales = np.maximum([momentum_magnitudes.sum(), angular_scale], 1e-300)
-            momentum_change = self._momenta(state) - self._momenta(self.initial())
+            momentum_change = self._momenta(state) - self._momenta(self.initial_state())
             drifts = np.linalg.norm(momentum_change, axis=1) / scales
             values["momentum_drift"], values["angular_momentum_drift"] = drifts.tolist()
         if self.uses_tree:

@@ -108,7 +108,7 @@ class ParticleSimulation:
         self._step_warnings: list[Fault] = []
         self._notices: list[Fault] = self.colliders.notices()
 
-    def initial(self) -> ParticleRunState:
+    def initial_state(self) -> ParticleRunState:
         """Return the particles born at the start."""
         return self._initial_state
 

@@ -116,7 +116,7 @@ class RigidSimulation(RigidStates):
             spec.sleep.time,
         )
 
-    def initial(self) -> RigidState:
+    def initial_state(self) -> RigidState:
         """Return all bodies at the start, without contacts or broken joints."""
         count = len(self.joints)
         return RigidState(

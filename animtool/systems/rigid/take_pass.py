@@ -156,7 +156,7 @@ def _start_run(
         substeps=options.substeps,
         iterations=32,
     )
-    initial_state = simulation.initial()
+    initial_state = simulation.initial_state()
     motion = initial_state.motion.copy()
     motion[:, 7:13] = velocities
     state = ReachedState(0, replace(initial_state, motion=motion))

@@ -76,7 +76,11 @@ def acceleration_jacobians(
         *_spring_blocks(forces.springs, x, v),
         (targets, targets, -stiffness * eye, -damping * eye),
         (particles, particles, np.zeros((len(x), 3, 3)), -drags * eye),
-        *(_air_blocks(forces, wind, x, v) if any(forces.air_coefficients) else ()),
+        *(
+            _air_jacobian_blocks(forces, wind, x, v)
+            if any(forces.air_coefficients)
+            else ()
+        ),
     ]
     rows, columns, by_x, by_v = map(np.concatenate, zip(*blocks, strict=True))
     i = np.broadcast_to(3 * rows[:, None, None] + np.arange(3)[:, None],
@@ -112,7 +116,7 @@ def _spring_blocks(
             yield row, column, sign * by_x, sign * by_v
 
 
-def _air_blocks(
+def _air_jacobian_blocks(
     forces: SpringForces, wind: FloatArray, x: FloatArray, v: FloatArray
 ) -> Iterator[_JacobianBlocks]:
     """Yield Jacobian blocks of air forces, by central finite differences."""

@@ -97,7 +97,7 @@ class SpringSimulation(MotionCounts):
         growth = np.inf if ignores_growth else self.options.growth
         return IntegrateOptions(growth=growth, stretch=self.options.longest)
 
-    def initial(self) -> SpringState:
+    def initial_state(self) -> SpringState:
         """Return the initial state."""
         return self._start.state
 

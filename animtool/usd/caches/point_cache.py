@@ -246,8 +246,8 @@ def _chunk_writers(
         for writer in writers:
             writer.sample_all(with_defaults=with_defaults)
         author_span(layer, cache_metadata(job, 0.0, 0.0))
-    with replacement_path(path) as temporary:
-        export_layer(layer, temporary, path)
+    with replacement_path(path) as temporary_path:
+        export_layer(layer, temporary_path, path)
 
 
 class _ChunkedMesh:

@@ -179,7 +179,7 @@ def check_copy_suffixes(source: Path, output: Path) -> None:
             raise OptionError(Fault("OUT004", message, str(path), (), hint))
 
 
-def refuse_composed_layers(source: Path, output: Path) -> None:
+def refuse_overwriting_layers(source: Path, output: Path) -> None:
     """Raise if a copy would overwrite a layer that the source composes."""
     if not output.exists():
         return
@@ -207,14 +207,14 @@ def write_copy(source: Path, content: Any, output: Path) -> Sequence[str]:
     export_arguments = (
         {"format": _layer_format(source)} if output.suffix == ".usd" else {}
     )
-    with replacement_path(output) as temporary:
+    with replacement_path(output) as temporary_path:
         if content is None and has_same_format and not reanchored_count:
             try:
-                shutil.copyfile(source, temporary)
+                shutil.copyfile(source, temporary_path)
             except OSError as error:
                 raise output_error(output, error) from error
         else:
-            export_layer(layer, temporary, output, export_arguments)
+            export_layer(layer, temporary_path, output, export_arguments)
     after_commit(lambda: _reload(output))
     paths = counted(reanchored_count, "relative asset path")
     return [f"rewrites {paths} for the new folder"] * bool(reanchored_count)

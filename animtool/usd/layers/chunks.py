@@ -68,10 +68,10 @@ class GrowingLayer:
 
 
 @contextmanager
-def open_growing_crate(temporary: Path, path: Path) -> Iterator[GrowingLayer]:
+def open_growing_crate(temporary_path: Path, path: Path) -> Iterator[GrowingLayer]:
     """Yield a new crate file that receives samples; save it on exit."""
     with _usd_output_errors(path):
-        layer = Sdf.Layer.CreateNew(str(temporary), args={"format": "usdc"})
+        layer = Sdf.Layer.CreateNew(str(temporary_path), args={"format": "usdc"})
     crate_layer = GrowingLayer(layer, path)
     yield crate_layer
     crate_layer.save()
@@ -88,14 +88,14 @@ def open_growing_layer(layer: Any, path: Path) -> Iterator[GrowingLayer]:
         yield growing_layer
         growing_layer.size = save_layer(layer, path)
         return
-    with replacement_path(path) as temporary:
+    with replacement_path(path) as temporary_path:
         with (
-            packaged(path, temporary) as file,
+            packaged(path, temporary_path) as file,
             open_growing_crate(file, path) as crate_layer,
         ):
             crate_layer.layer.TransferContent(layer)
             yield crate_layer
-        crate_layer.size = temporary.stat().st_size
+        crate_layer.size = temporary_path.stat().st_size
 
 
 @contextmanager
@@ -315,8 +315,8 @@ class ChunkedWriter:
         Stale files of an earlier, longer bake are removed only after the new files are
         in place, so that a layer always has its own chunks.
         """
-        with replacement_path(self.files.manifest) as temporary:
-            export_layer(self._manifest, temporary, self.files.manifest)
+        with replacement_path(self.files.manifest) as temporary_path:
+            export_layer(self._manifest, temporary_path, self.files.manifest)
         files = [*self.paths, self.files.manifest]
         after_commit(lambda: self.files.remove_stale_chunks(files))
         return files

@@ -308,30 +308,33 @@ def save_layer(layer: Any, path: Path) -> int:
         record_output()
         sys.stdout.flush()
         return len(text.encode())
-    with replacement_path(path) as temporary:
-        with packaged(path, temporary) as file:
+    with replacement_path(path) as temporary_path:
+        with packaged(path, temporary_path) as file:
             export_layer(layer, file, path)
-        return temporary.stat().st_size
+        return temporary_path.stat().st_size
 
 
-def packaged(path: Path, temporary: Path) -> AbstractContextManager[Path]:
+def packaged(path: Path, temporary_path: Path) -> AbstractContextManager[Path]:
     """Yield the file to write a layer to; on exit, package it for .usdz.
 
-    ``temporary`` is renamed to ``path`` if all succeeds.
+    ``temporary_path`` is renamed to ``path`` if all succeeds.
     """
     if path.suffix.lower() != USD_PACKAGE_SUFFIX:
-        return nullcontext(temporary)
+        return nullcontext(temporary_path)
     from animtool.usd.layers.package import layer_to_package
 
-    return layer_to_package(path, temporary)
+    return layer_to_package(path, temporary_path)
 
 
 def export_layer(
-    layer: Any, temporary: Path, path: Path, arguments: Mapping[str, str] | None = None
+    layer: Any,
+    temporary_path: Path,
+    path: Path,
+    arguments: Mapping[str, str] | None = None,
 ) -> None:
     """Export a layer to a temporary file that then replaces ``path``."""
     try:
-        is_exported = layer.Export(str(temporary), args=dict(arguments or {}))
+        is_exported = layer.Export(str(temporary_path), args=dict(arguments or {}))
     except Tf.ErrorException as error:
         raise output_error(path, usd_reason(error)) from error
     except UnicodeEncodeError as error:

@@ -31,7 +31,7 @@ class _ParserError:
 
     match: re.Match[str]  # of its pattern in the text of USD
     context: str  # the text from the position on, in its line
-    lines: Sequence[str]  # of the file, as far as known
+    lines: Sequence[str]  # known lines of the file
     line: int  # 1-based line, 0 if unknown
 
     @property

@@ -1,4 +1,4 @@
-"""Writes a temporary stage that composes a layer with others for display."""
+"""Writes a temporary_path stage that composes a layer with others for display."""
 
 from __future__ import annotations
 
@@ -47,6 +47,6 @@ def write_view(
         for name in _METADATA_FIELDS:
             if pseudo_root.HasInfo(name):
                 view.pseudoRoot.SetInfo(name, pseudo_root.GetInfo(name))
-        with replacement_path(path) as temporary:
-            temporary.write_text(view.ExportToString(), "utf-8")
+        with replacement_path(path) as temporary_path:
+            temporary_path.write_text(view.ExportToString(), "utf-8")
     return path

@@ -364,8 +364,8 @@ def write_simulated_chunks(
     @contextmanager
     def open_chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
         with (
-            replacement_path(path) as temporary,
-            open_growing_crate(temporary, path) as chunk_layer,
+            replacement_path(path) as temporary_path,
+            open_growing_crate(temporary_path, path) as chunk_layer,
         ):
             _declare_attributes(chunk_layer.layer, reports, layer)
             yield [

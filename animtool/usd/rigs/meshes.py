@@ -317,7 +317,7 @@ def _author_shape(spec: Any, shape: SurfaceShape, meters_per_unit: float) -> Non
 
 
 # A bone is drawn as an octahedron; position of its widest part, relative to the length.
-WAIST_POSITION = 0.2
+WIDEST_POSITION = 0.2
 BONE_HALF_WIDTH = 0.08
 # Gap at both ends, relative to the length, so that tools do not merge points of bones.
 END_GAP = 0.005
@@ -389,7 +389,7 @@ def author_bones(layer: Any, rig: Rig, paths: RigPaths, meters_per_unit: float) 
 
 
 def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return six points per bone (head, four at the waist, tail) and normals.
+    """Return six points per bone (head, four around the widest part, tail) and normals.
 
     Both are ``(B, 6, 3)``.
     """
@@ -404,11 +404,11 @@ def _octahedra(segments: FloatArray) -> tuple[FloatArray, FloatArray]:
     side_axis = np.cross(unit_directions, least_axis)
     side_axis /= np.linalg.norm(side_axis, axis=-1, keepdims=True)
     front_axis = np.cross(unit_directions, side_axis)
-    waist = head + WAIST_POSITION * directions
+    widest_center = head + WIDEST_POSITION * directions
     width = BONE_HALF_WIDTH * lengths
     corner_axes = [side_axis, front_axis, -side_axis, -front_axis]
-    waist_points = [waist + width * axis for axis in corner_axes]
+    widest_ring = [widest_center + width * axis for axis in corner_axes]
     return (
-        np.stack([head, *waist_points, tail], axis=1),
+        np.stack([head, *widest_ring, tail], axis=1),
         np.stack([-unit_directions, *corner_axes, unit_directions], axis=1),
     )

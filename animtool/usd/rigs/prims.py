@@ -56,12 +56,12 @@ def array_or_empty(value: Any) -> Any:
 
 
 def number_rows(attr: Any, width: int, time: Any = None) -> FloatArray:
-    """Return an attribute's rows ``(N, width)``; empty for another type."""
+    """Return an attribute's rows ``(N, width)``; empty if the type differs."""
     return value_rows(array_value(attr, time), width)
 
 
 def value_rows(value: Any, width: int) -> FloatArray:
-    """Return the rows of an array ``(N, width)``; empty for another type."""
+    """Return the rows of an array ``(N, width)``; empty if the type differs."""
     value = array_or_empty(value)
     numbers = np.array(value)
     if numbers.dtype.kind not in "fiu" or numbers.size != len(value) * width:
@@ -70,7 +70,7 @@ def value_rows(value: Any, width: int) -> FloatArray:
 
 
 def integer_array(attr: Any, time: Any = None) -> IntArray:
-    """Return an attribute's integers ``(N,)``; empty for another type."""
+    """Return an attribute's integers ``(N,)``; empty if the type differs."""
     numbers = np.array(array_value(attr, time))
     if numbers.dtype.kind not in "iu" or numbers.ndim != 1:
         return np.zeros(0, np.int64)

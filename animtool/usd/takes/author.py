@@ -431,7 +431,7 @@ def _unit_meters(name: LengthUnit | str) -> LengthUnit:
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
-    """Return settings, take and notices to write a take over a rig layer."""
+    """Return a take converted to a rig layer, how to write it, and the notices."""
     from animtool.usd.rigs.joint_map import map_joints
     from animtool.usd.rigs.target import open_target
     from animtool.usd.takes.rig_space import convert_to_rig_space

@@ -110,12 +110,12 @@ def fix_copy(
             includes (OUT003), or one of the two is not a plain layer (OUT004).
         OutputError: It cannot be written.
     """
-    from animtool.usd.fixes.target import check_copy_suffixes, refuse_composed_layers
+    from animtool.usd.fixes.target import check_copy_suffixes, refuse_overwriting_layers
 
     options = (options or ValidateOptions()).with_profile_levels()
     check_copy_suffixes(source, output)
     check_outputs([output], [source], overwrite=overwrite)
-    refuse_composed_layers(source, output)
+    refuse_overwriting_layers(source, output)
     plan = plan_fixes(source, options)
     notes = plan.draft.write(output)
     report = validate_files([output], options)

@@ -200,7 +200,7 @@ class TextDraft:
         return tuple(self.arrays)
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the text to a file, after its new arrays."""
+        """Write the new arrays, then the text, to files; return no remarks."""
         with atomic_outputs():
             with early_outputs(list(self.arrays)):
                 for path, arrays in self.arrays.items():

@@ -64,7 +64,7 @@ def main(source: str, runs: str, output: str, headway: str = "") -> None:
             budget=None,
         )
         crowd = build(CrowdsModel.model_validate(entry), context)
-        state = crowd.initial()
+        state = crowd.initial_state()
         track[0] = state.points
         for k in range(int(steps)):
             state = crowd.step(state, k * step, step)

@@ -46,7 +46,7 @@ def main(source: str, runs: str, output: str) -> None:
 
     def work() -> None:
         fluid = build(spec, context)
-        state = fluid.initial()
+        state = fluid.initial_state()
         shown.clear()
         parted[0] = 0
         for k in range(count * STEPS):
@@ -56,7 +56,7 @@ def main(source: str, runs: str, output: str) -> None:
                 shown.append(state.motion[0])
 
     warm = build(spec, context)
-    warm.step(warm.initial(), 0.0, step)
+    warm.step(warm.initial_state(), 0.0, step)
     taken = [timed(work) for _ in range(int(runs))]
     np.save(output, np.array(shown))
     print("\n" + json.dumps({"taken": taken, "steps": parted[0]}), flush=True)

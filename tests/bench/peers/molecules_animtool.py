@@ -34,7 +34,7 @@ def main(source: str, runs: str, steps: str, method: str = "velocity_verlet") ->
         }
     )
     made = build(spec, _Context())
-    state = made.initial()
+    state = made.initial_state()
     first = made.values(state, 0.0)
 
     def work(count: int) -> None:

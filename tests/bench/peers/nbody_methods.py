@@ -33,7 +33,7 @@ def main(until: str, *settings: str) -> None:
         spec |= {"method": method, "step": float(step), "substeps": 1}
         made = build(NbodyModel.model_validate(spec), _Context())
 
-        states = [made.initial()]
+        states = [made.initial_state()]
 
         def work(
             made: Nbody = made, states: list[Any] = states, dt: float = float(step)

@@ -41,7 +41,9 @@ def test_pieces_are_the_motion_with_their_neighbours(
     count = sum(lengths)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(deformed_character, "CHUNK_FRAMES", most)
-        found = list(motion_chunks(blocks(lengths), has_neighbours=neighbours))
+        found = list(
+            motion_chunks(blocks(lengths), includes_neighbour_frames=neighbours)
+        )
     own = []
     for codes, motion, kept in found:
         assert_array_equal(motion.translations.dense()[:, 0, 0], codes)

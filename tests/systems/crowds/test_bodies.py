@@ -102,7 +102,7 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
         np.array([0.0, 1.0, 2.2]),
     )
     some = going.select(own)
-    state = bodies.initial(some, np.array([0.2, 0.7]))
+    state = bodies.initial_state(some, np.array([0.2, 0.7]))
     rig = SimpleNamespace(rig=gaits.walker.rig)
     groups = [
         CastGroup(np.array([1]), other, rig),  # type: ignore[arg-type]
@@ -111,7 +111,7 @@ def test_joints_of_one_are_where_the_ground_is_and_as_large_as_he_is() -> None:
     frame = GroundFrame(np.array([5.0, 6, 7]), so3.exp(np.array([0.5, 0, 0])))
     casting = AgentCast(groups, np.array([1, 0, 2]))
     chances = np.array([0.2, 0.4, 0.7])
-    of_all = casting.initial(going, chances)
+    of_all = casting.initial_state(going, chances)
     made = body_poses(bodies, state, some)
     turn = so3.multiply(frame.rotation, rotations_about_y(going.headings[2]))
     found = casting.joint_transforms(of_all, going, frame, bumpy, 2)
@@ -126,7 +126,7 @@ def test_at_first_both_feet_stand_and_nobody_reacts() -> None:
     going = AgentMotion(
         np.array([[1.0, 2], [3, 4]]), np.zeros((2, 2)), np.array([0.0, 1.0])
     )
-    state = bodies.initial(going, np.array([0.25, 0.5]))
+    state = bodies.initial_state(going, np.array([0.25, 0.5]))
     assert state.phases.tolist() == [0.25, 0.5]
     assert (state.swings == -1).all()
     np.testing.assert_array_equal(state.aims, state.places)
@@ -177,7 +177,7 @@ def walked(
 ) -> tuple[list[BodyState], np.ndarray]:
     """Return states, and joints in the world ``(F, N, J, 3)``."""
     count = len(goings[0].points)
-    state = bodies.initial(goings[0], np.linspace(0.1, 0.8, count))
+    state = bodies.initial_state(goings[0], np.linspace(0.1, 0.8, count))
     states, places = [], []
     for before, after in pairwise(goings):
         state = bodies.advance(state, before, after, step)
@@ -288,7 +288,7 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
     alone = AgentBodies(bodies.gaits, bodies.scales[[1]], level)
     goings = path(0.05, 3)[:120]
     row = np.array([1])
-    state = bodies.initial(goings[0], np.array([0.1, 0.4, 0.7]))
+    state = bodies.initial_state(goings[0], np.array([0.1, 0.4, 0.7]))
     own = state.select(row)
     for before, after in pairwise(goings):
         state = bodies.advance(state, before, after, 0.05)
@@ -304,7 +304,7 @@ def test_part_of_a_crowd_moves_as_in_the_whole() -> None:
 def test_who_is_hit_plays_the_reaction_once() -> None:
     bodies = AgentBodies(library("walk", "stand", "stumble"), np.ones(2), level)
     here = AgentMotion(np.zeros((2, 2)), np.zeros((2, 2)), np.zeros(2))
-    state = bodies.initial(here, np.zeros(2))
+    state = bodies.initial_state(here, np.zeros(2))
     quiet = body_poses(bodies, state, here).rotations
     state = bodies.advance(state, here, here, 0.1, np.array([True, False]))
     for _ in range(4):

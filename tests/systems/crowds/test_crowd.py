@@ -495,7 +495,7 @@ def test_who_is_squeezed_is_moved_apart_in_a_hundred_rounds(
     row = crowd([{"radius": RADIUS, "points": placed(simulator.folder, points)}])
     (made,) = open_systems(simulator.scene(row).systems, 0.05)
     assert isinstance(made, SimulationRun)
-    begun = made.simulation.initial()
+    begun = made.simulation.initial_state()
     squeezed = replace(begun, points=0.001 * begun.points)
     seen: list[dict[str, Any]] = []
     step = crowds._kernels.crowd_step
@@ -550,7 +550,7 @@ def test_who_fell_stays_and_who_left_is_out(
     row = crowd([{"radius": RADIUS, "points": placed(simulator.folder, points)}])
     (made,) = open_systems(simulator.scene(row).systems, 0.05)
     assert isinstance(made, SimulationRun)
-    begun = made.simulation.initial()
+    begun = made.simulation.initial_state()
     stages = np.array([0, 0, DEPARTED_STAGE])
     progress = replace(begun.progress, stages=stages)
     fell: Any = SimpleNamespace(agents=np.array([1]))

@@ -213,7 +213,7 @@ def test_who_would_fall_too_fast_takes_the_step_in_eight_parts(
     begun = Falls(
         *(np.zeros(shape) for shape in ((0,), (0, 1, 3), (0, 1, 4), (0, 1, 14), (0,)))
     )
-    simulation: Any = SimpleNamespace(initial=lambda: begun, step=step)
+    simulation: Any = SimpleNamespace(initial_state=lambda: begun, step=step)
     motion = np.zeros((1, 14))
     motion[0, 7] = 2.0
     made = _step_ragdoll(simulation, motion, 0.0, 0.8)

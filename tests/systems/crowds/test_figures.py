@@ -42,7 +42,7 @@ def test_bodies_that_are_pushed_and_turn_on_bumpy_ground() -> None:
     gaits = library("walk", "run", "turn", "stand", "stumble")
     bodies = AgentBodies(gaits, np.array([1.0, 1.1, 0.9, 1.05, 0.97]), bumpy)
     ways = goings(42)
-    state = bodies.initial(ways[0], np.array([0.1, 0.35, 0.5, 0.77, 0.9]))
+    state = bodies.initial_state(ways[0], np.array([0.1, 0.35, 0.5, 0.77, 0.9]))
     states, poses, feet = [], [], []
     for i, (before, after) in enumerate(pairwise(ways)):
         hit = np.array([i == 7, False, i == 5, False, False])
@@ -102,7 +102,7 @@ def test_agents_among_walls_doors_and_queues(simulator: Simulator) -> None:
     }  # fmt: skip
     (run,) = open_systems(simulator.scene([{"crowds": crowd}]).systems, 7.0)
     assert isinstance(run, SimulationRun)
-    begun = run.simulation.initial()
+    begun = run.simulation.initial_state()
     rows = [run.at(t) for t in (0.0, 1.5, 3.0, 4.5, 6.0)]
     found = [begun, rows, run.state.state, run.notices]
     check_figures(__file__, "agents", found)

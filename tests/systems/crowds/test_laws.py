@@ -236,7 +236,7 @@ def test_a_step_leaves_the_state_before_as_it_was() -> None:
     bodies = AgentBodies(library("walk", "stand"), np.ones(2), level)
     x = np.zeros((2, 2))
     before = AgentMotion(x, x, np.array([0.0, 1.0]))
-    state = bodies.initial(before, np.array([0.1, 0.6]))
+    state = bodies.initial_state(before, np.array([0.1, 0.6]))
     for k in range(12):
         v = np.tile([0.0, 1.0], (2, 1))
         after = AgentMotion(before.points + 0.1 * v, v, before.headings)

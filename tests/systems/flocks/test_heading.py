@@ -366,7 +366,7 @@ def test_who_leaves_a_domain_comes_in_again_on_the_other_side() -> None:
 def test_members_show_points_and_the_order_of_those_that_move() -> None:
     made = flock([[0, 0, 0], [5, 0, 0], [9, 0, 0]], [[3, 0, 0], [0, 0, 4], [0, 0, 0]],
                  radius=0.2)  # fmt: skip
-    state = made.initial()
+    state = made.initial_state()
     assert state.heading is None
     frame = made.frame(state, 0.0)
     assert frame.ids.tolist() == [0, 1, 2]
@@ -387,7 +387,7 @@ def test_members_that_show_a_cycle_are_turned_from_the_beginning_on() -> None:
         return [mesh] * 4
 
     made = flock([[0, 0, 0], [5, 0, 0]], [[3, 0, 0], [0, 0, 4]], shows=cycle, beat=2)
-    state = made.initial()
+    state = made.initial_state()
     frame = made.frame(state, 0.0)
     u = uniform_samples(0, np.arange(2), 1)[:, 0]
     assert frame.mesh_indices.tolist() == np.floor(u * 4).tolist()  # type: ignore[union-attr]

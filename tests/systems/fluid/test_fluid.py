@@ -583,7 +583,7 @@ def test_before_its_first_step_nothing_is_dense_or_parted(
     (run,) = open_systems(simulator.scene(fluid(colliders=[TANK])).systems, 10.0)
     assert isinstance(run, SimulationRun)
     own = run.simulation
-    state = own.initial()
+    state = own.initial_state()
     values = own.diagnostics(state, 0.0).values
     assert (values["densest"], values["parts"], values["compression"]) == (0, 0, 0)
     densest = 0.0
@@ -618,7 +618,7 @@ def test_parts_are_doubled_beyond_the_density_that_is_allowed(
     assert isinstance(run, SimulationRun)
     own = run.simulation
     assert isinstance(own, Fluid)
-    state, asked = own.initial(), list[tuple[float, int]]()
+    state, asked = own.initial_state(), list[tuple[float, int]]()
 
     def steps(*given: Any) -> PressureResult:
         asked.append(given[-2:])

@@ -53,7 +53,7 @@ def test_it_begins_with_the_energy_that_forces_give_it() -> None:
     """Kinetic and potential, and that of its surface; pulls are over the mass."""
     push = find_force("uniform")(push=(MASS, 0.0, 0))
     own = fluid(forces=[DOWN, push], tension=0.3)
-    state = own.initial()
+    state = own.initial_state()
     assert state.ids.tolist() == [0, 1, 2]
     assert state.births.tolist() == [1, 1, 1]
     assert (state.made, state.held) == (3, 0)
@@ -88,7 +88,7 @@ def test_it_begins_with_the_energy_that_forces_give_it() -> None:
 def test_energy_out_of_nothing_is_a_gain(keys: Any, closed: bool) -> None:
     """Beyond a twentieth of what is in play: of motion, of heights, of pressure."""
     own = fluid(**keys)
-    state = replace(own.initial(), energy=1000.0, sound=2.0)
+    state = replace(own.initial_state(), energy=1000.0, sound=2.0)
     kinetic = own._energy(state)[1]
     spring = MASS * 3 * 4 * 0.01
     # Of the kinetic energy, which is more than there was before.
@@ -97,7 +97,7 @@ def test_energy_out_of_nothing_is_a_gain(keys: Any, closed: bool) -> None:
         assert own._has_energy_gain(replace(state, energy=before)) is (gains and closed)
     if closed and not keys:
         high = fluid(v=0 * V, forces=[DOWN])
-        begin = replace(high.initial(), sound=2.0)
+        begin = replace(high.initial_state(), sound=2.0)
         total = high._energy(begin)[0]
         for lack, gains in ((0.06, True), (0.02, False)):
             # It hangs: of nothing but pressure.
@@ -117,7 +117,7 @@ def test_a_step_that_gains_energy_is_said_to_be_too_long(
         told.append(given[1:5])
 
     monkeypatch.setattr(own, "_stop_for_long_step", stop)
-    state = replace(own.initial(), energy=7.0)
+    state = replace(own.initial_state(), energy=7.0)
     for gains in (False, True):
         monkeypatch.setattr(own, "_has_energy_gain", lambda _, gains=gains: gains)
         own._solve_pressure(state, 1.0, 0.001, np.zeros((3, 3)))
@@ -131,7 +131,7 @@ def test_a_step_that_gains_energy_is_said_to_be_too_long(
 def test_what_drains_take_away_took_its_energy() -> None:
     floor = Collider(Plane(), Poses.fixed((0, 1.5, 0)))
     own = fluid(forces=[DOWN], drains=[floor, Collider(Sphere(1.0, (0, 5, 7)))])
-    state = replace(own.initial(), pressures=np.array([5.0, 6, 7]))
+    state = replace(own.initial_state(), pressures=np.array([5.0, 6, 7]))
     left = own._remove_drained(state, 0.0)
     assert left.ids.tolist() == [1]
     assert_array_equal(left.motion, np.stack([X[1:2], V[1:2]]))
@@ -147,7 +147,7 @@ TAP = {"size": [0.5, 0.5], "speed": 2.0}
 
 def test_what_comes_in_brings_its_energy_and_is_numbered_on() -> None:
     own = fluid(forces=[DOWN], emitters=[TAP], max_particles=4)
-    state, notices = replace(own.initial(), made=7, held=2), list[Fault]()
+    state, notices = replace(own.initial_state(), made=7, held=2), list[Fault]()
     pull = np.tile([0.0, -8, 0], (3, 1))
     # A layer every quarter of a second; the one at 1.2 s is the second.
     fed = own._add_inflow(state, 1.0, 1.2, pull, notices)
@@ -175,7 +175,7 @@ def test_what_comes_in_brings_its_energy_and_is_numbered_on() -> None:
 
 def pressed(own: Fluid, monkeypatch: pytest.MonkeyPatch, dense: float) -> Any:
     """Return the end of a step whose kernel says how dense it is."""
-    state = own.initial()
+    state = own.initial_state()
     made = PressureResult(state.motion, state.pressures, dense, ())
     monkeypatch.setattr(own, "_run_kernel", lambda *_: made)
     notices: list[Fault] = []
@@ -207,7 +207,7 @@ def test_what_is_denser_than_asked_for_is_told_and_collapses_in_the_end(
     after, notices = pressed(own, monkeypatch, dense)
     assert [notice.code for notice in notices] == ([code] if code else [])
     assert after.compression == after.densest == dense
-    begin = replace(own.initial(), densest=0.5)
+    begin = replace(own.initial_state(), densest=0.5)
     later, _ = own._solve_pressure(begin, 0.0, 0.01, np.zeros((3, 3)), notices)
     assert (later.densest, later.compression) == (0.5, dense)
 
@@ -224,7 +224,7 @@ def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
         return len(asked) == 3
 
     monkeypatch.setattr(own, "_is_stable_step", goes)
-    state = own.initial()
+    state = own.initial_state()
     assert own._find_stable_step(state, 0.0, 0.96, 3.0) == asked[2]
     assert_allclose(asked, [0.16, 0.08, 0.04], rtol=0.05)
     asked.clear()
@@ -261,7 +261,7 @@ def test_sheets_are_looked_at_before_they_moved_half_a_spacing() -> None:
 
 
 def state_of(own: Fluid) -> FluidState:
-    return replace(own.initial(), pressures=np.array([5.0, 9, 7]), parts=3)
+    return replace(own.initial_state(), pressures=np.array([5.0, 9, 7]), parts=3)
 
 
 def test_what_is_told_and_shown_of_a_state() -> None:
@@ -352,7 +352,7 @@ def test_density_is_that_of_where_particles_are() -> None:
     """Over that at rest; of one alone it is its own share."""
     near = np.array([[0.0, 0, 0], [0.3, 0, 0], [9, 9, 9]])
     own = fluid(near, 5 * V, primvars=["density"])
-    found = own.frame(own.initial(), 1.0).primvars["density"]
+    found = own.frame(own.initial_state(), 1.0).primvars["density"]
     arrays = Colliders([]).kernel_arrays(1.0, 1.0)
     assert_allclose(found, _kernels.fluid_densities(arrays, near, 0.5))
     assert found[0] == pytest.approx(found[1])
@@ -371,7 +371,7 @@ def test_parts_are_doubled_as_far_as_the_most_that_there_may_be(
     monkeypatch: pytest.MonkeyPatch, room: float, tries: int
 ) -> None:
     own = fluid()
-    state = own.initial()
+    state = own.initial_state()
     asked: list[int] = []
 
     def steps(*given: Any) -> PressureResult:
@@ -392,5 +392,5 @@ def test_parts_are_doubled_as_far_as_the_most_that_there_may_be(
 
 def test_pressure_begins_as_fast_as_the_depth_of_the_fluid_asks_for() -> None:
     """Of heights from 1 to 5 m under 8 m/s²: 1 % of 1.1 times the head."""
-    begin = fluid(forces=[DOWN]).initial()
+    begin = fluid(forces=[DOWN]).initial_state()
     assert begin.sound == pytest.approx(np.sqrt(32 * 1.1 / 0.01))

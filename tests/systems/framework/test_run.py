@@ -18,7 +18,7 @@ class Counter:
     def __init__(self, largest: float = np.inf) -> None:
         self._largest = largest
 
-    def initial(self) -> float:
+    def initial_state(self) -> float:
         return 0.0
 
     def step(self, state: float, *_: float) -> SteppedState[float]:

@@ -54,7 +54,7 @@ def molecules(**keys: Any) -> Molecules:
 
 
 def after(made: Molecules, steps: int, dt: float) -> list[MoleculeState]:
-    states = [made.initial()]
+    states = [made.initial_state()]
     for k in range(steps):
         states.append(made.step(states[-1], k * dt, dt))
     return states
@@ -64,7 +64,7 @@ def test_a_crystal_has_the_energy_and_pressure_of_its_lattice() -> None:
     """The sums of the face-centred lattice are 14.4539 / r^6 and 12.1319 / r^12."""
     made = molecules(box=[10 * 0.54] * 3, species=[{**ARGON, "count": 4000}],
                      cutoff=2.69, switch=2.69)  # fmt: skip
-    values = made.values(made.initial(), 0.0)
+    values = made.values(made.initial_state(), 0.0)
     near = 0.54 / np.sqrt(2) / 0.3405
     each = 2 * 0.9961 * (12.13188 / near**12 - 14.45392 / near**6)
     # What is beyond the cut-off, as an even density of atoms has it.
@@ -86,7 +86,7 @@ def test_salt_has_the_energy_of_its_lattice() -> None:
     made = molecules(
         species=ions, box=[side] * 3, lattice="cubic", cutoff=2.2, damping=1.5
     )
-    energy = made.values(made.initial(), 0.0)["potential_energy"]
+    energy = made.values(made.initial_state(), 0.0)["potential_energy"]
     assert -energy / 2048 * 0.282 / COULOMB_CONSTANT == pytest.approx(
         1.747565, rel=2e-3
     )
@@ -94,7 +94,7 @@ def test_salt_has_the_energy_of_its_lattice() -> None:
 
 def drift(steps: int) -> float:
     made = molecules(temperature=120, seed=2)
-    states = [made.initial()]
+    states = [made.initial_state()]
     worst = 0.0
     for k in range(steps):
         states = [made.step(states[-1], k * 0.005, 0.005)]
@@ -243,7 +243,7 @@ def test_atoms_say_their_species_where_there_are_two() -> None:
     xenon = {"name": "xenon", "count": 256, "sigma": 0.4, "epsilon": 1.8, "mass": 131}
     for species, expected in (([ARGON], {}), ([ARGON, xenon], {0: 256, 1: 256})):
         made = molecules(species=species)
-        primvars = made.frame(made.initial(), 0.0).primvars
+        primvars = made.frame(made.initial_state(), 0.0).primvars
         kinds = np.array(primvars.get("species", []), int)
         assert dict(zip(*np.unique(kinds, return_counts=True), strict=True)) == expected
 
@@ -375,7 +375,7 @@ def test_what_is_reported_of_a_few_atoms_leaves_out_the_whole() -> None:
     """The mean of kinetic energy is over 3 N - 3 degrees of freedom, here 9."""
     few = {**ARGON, "count": 4, "mass": 20.0, "radius": 0.7}
     made = molecules(species=[few], temperature=90, scale=0.5)
-    state = made.initial()
+    state = made.initial_state()
     values = made.values(state, 0.0)
     assert values["temperature"] == pytest.approx(90)
     assert values["kinetic_energy"] == pytest.approx(4.5 * BOLTZMANN_CONSTANT * 90)

@@ -26,8 +26,8 @@ from animtool.systems.nbody.galaxies import (
     surface_density,
 )
 from animtool.systems.nbody.nbody import (
-    MAX_PHASE,
-    MAX_UNSOFTENED_PHASE,
+    MAX_STEP_PHASE,
+    MAX_UNSOFTENED_STEP_PHASE,
     MutualGravity,
     build,
 )
@@ -53,7 +53,7 @@ def pulls(x: Any, masses: Any, constant: float, softening: float) -> np.ndarray:
 @pytest.mark.parametrize("softening", [0.0, 1.5])
 def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> None:
     made = nbody(X, 0 * X, MASSES, 2.0, softening, 0.01)
-    state = made.initial()
+    state = made.initial_state()
     reach = (4 + softening**2) ** 1.5
     assert state.gravity.rates.max() == pytest.approx(2 * 5 / reach)
     mass, said = made._fastest_pair(X, state.gravity.rates)
@@ -79,20 +79,20 @@ def test_the_closest_pair_is_that_which_circles_fastest(softening: float) -> Non
 def test_who_stops_two_that_are_too_close_says_what_follows_them() -> None:
     """Softened by 5 % more than what 64 parts of a step of 0.02 s go through."""
     made = nbody(X, 0 * X, MASSES, 2.0, 0.0, 0.02, substeps=64)
-    stopped = made._encounter_error(0.02, 1.5, X, made.initial().gravity.rates)
+    stopped = made._encounter_error(0.02, 1.5, X, made.initial_state().gravity.rates)
     (fault,) = stopped.faults
     assert fault.code == "SIM110"
     assert fault.message.startswith("bodies 1 and 2 are 2 m apart at 1.5 s")
     assert "steps of 0.000313 s" in fault.message
-    enough = 1.05 * (2 * 5 / (MAX_PHASE * 64 / 0.02) ** 2) ** (1 / 3)
+    enough = 1.05 * (2 * 5 / (MAX_STEP_PHASE * 64 / 0.02) ** 2) ** (1 / 3)
     assert f"softening: {enough:.3g}," in str(fault.hint)
 
 
 @pytest.mark.parametrize(
-    ("softening", "phase"), [(0.0, MAX_UNSOFTENED_PHASE), (0.5, MAX_PHASE)]
+    ("softening", "phase"), [(0.0, MAX_UNSOFTENED_STEP_PHASE), (0.5, MAX_STEP_PHASE)]
 )
 def test_without_softening_steps_are_finer(softening: float, phase: float) -> None:
-    assert (MAX_UNSOFTENED_PHASE, MAX_PHASE) == (0.03, 0.15)
+    assert (MAX_UNSOFTENED_STEP_PHASE, MAX_STEP_PHASE) == (0.03, 0.15)
     made = nbody(X, 0 * X, MASSES, 2.0, softening, 0.01, substeps=8)
     for turned, parts in ((1.01, 2), (7.9, 8), (8.0, 16), (np.inf, 16), (0.0, 1)):
         rates = np.array([0.0, (turned * phase / 0.01) ** 2])
@@ -105,7 +105,7 @@ def test_within_a_step_a_pair_may_turn_half_as_much_again(
 ) -> None:
     """By 1.5 times 0.15 rad in each part of the step."""
     made = nbody(X, 0 * X, MASSES, 2.0, 0.5, 0.01)
-    begun, limits = made.initial(), []
+    begun, limits = made.initial_state(), []
     turned = np.full(4, (0.9 * parts * 0.15 / 0.01) ** 2)
     state = replace(begun, gravity=replace(begun.gravity, rates=turned))
     system = made._system
@@ -123,7 +123,7 @@ def test_within_a_step_a_pair_may_turn_half_as_much_again(
 def test_a_step_is_advised_by_the_first_to_fall() -> None:
     """About the centre of mass, no nearer than the softening."""
     made = nbody(X, 0 * X, MASSES, 2.0, 6.0, 0.01)
-    state = made.initial()
+    state = made.initial_state()
     centre = MASSES @ X / 6.5
     reach = np.maximum(np.linalg.norm(X - centre, axis=1), 6.0)
     assert (reach == 6).any()
@@ -136,7 +136,7 @@ def test_a_step_is_advised_by_the_first_to_fall() -> None:
 def test_what_is_kept_is_told_over_what_there_is() -> None:
     v = np.array([[0.0, 1, 0], [1, 0, 0], [0, 0, 1], [0, 0, 2]])
     made = nbody(X, v, MASSES, 2.0, 0.5, 0.01)
-    begin = made.initial()
+    begin = made.initial_state()
     values = made._report_values(begin, 0.0)
     assert (values["bodies"], values["encounters"], values["substeps"]) == (4, 0, 1)
     assert values["energy_drift"] == values["momentum_drift"] == 0
@@ -161,7 +161,7 @@ def test_what_is_kept_is_told_over_what_there_is() -> None:
         "attractors": [{"poses": Poses.fixed((9, 9, 9))}],
     }
     outside = build(placed, _Context(parts))
-    assert "energy_drift" not in outside._report_values(outside.initial(), 0.0)
+    assert "energy_drift" not in outside._report_values(outside.initial_state(), 0.0)
     # At an attractor without softening nothing is infinite.
     found = outside.external_effect(placed.attractors[0], X[0], X[:1])
     assert np.isfinite(found[0]).all()

@@ -25,7 +25,7 @@ from animtool.systems.nbody.galaxies import (
     enclosed_mass,
     orbit_motions,
 )
-from animtool.systems.nbody.nbody import MAX_PHASE, RECOMMENDED_STEP, build
+from animtool.systems.nbody.nbody import MAX_STEP_PHASE, RECOMMENDED_STEP, build
 from animtool.systems.nbody.spec import EncounterModel, GalaxyModel, NbodyModel
 
 DISC = {"count": 700, "mass": 1, "radius": 1, "cutoff": 4}
@@ -363,9 +363,9 @@ def test_a_step_is_advised_by_how_soon_a_body_would_reach_the_centre() -> None:
     made = nbody(
         x, np.array([[9.0, 0, 0], [0, 0, -2]]), np.array([3.0, 1.0]), 2.0, 0.0, 0.01
     )
-    assert made._potential(made.initial(), 0.0) == pytest.approx(-2 * 3 * 1 / 4)
+    assert made._potential(made.initial_state(), 0.0) == pytest.approx(-2 * 3 * 1 / 4)
     expected = RECOMMENDED_STEP * np.sqrt(4.0**3 / (2 * 4.0))
-    assert made._suggested_step(made.initial(), 0.0) == pytest.approx(expected)
+    assert made._suggested_step(made.initial_state(), 0.0) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -377,7 +377,7 @@ def test_a_step_is_parted_until_the_closest_pair_turns_little(
     """A power of two; what is beyond the most parts is told by twice as many."""
     x = np.array([[0.0, 0, 0], [4, 0, 0]])
     made = nbody(x, 0 * x, np.ones(2), 2.0, 0.1, 0.01, substeps=64)
-    rates = np.array([0.0, (phase * MAX_PHASE / 0.02) ** 2])
+    rates = np.array([0.0, (phase * MAX_STEP_PHASE / 0.02) ** 2])
     assert made._required_substeps(rates, 0.02) == parts
     assert made._required_substeps(rates[:0], 0.02) == 1
     # A method that finds its steps by itself parts none.
@@ -390,7 +390,7 @@ def test_a_step_that_ends_where_two_are_close_is_done_again_in_parts() -> None:
     x = np.array([[1.0, 0.1, 0], [-1, -0.1, 0]])
     v = np.array([[-10.0, 0, 0], [10, 0, 0]])
     made = nbody(x, v, np.array([0.015, 0.005]), 1.0, 0.0, 0.1)
-    state = made.initial()
+    state = made.initial_state()
     assert made._required_substeps(state.gravity.rates, 0.1) == 1
     after = made.step(state, 0.0, 0.1)
     assert (after.encounters, after.divided) == (1, 4)
@@ -414,7 +414,7 @@ def test_what_attracts_from_outside_counts_in_energies_and_accelerations() -> No
         "attractors": [{"poses": Poses.fixed((3.0, 0.0, 0.0))}],
     }
     made = build(spec, _Context(parts))
-    state = made.initial()
+    state = made.initial_state()
     found = made._quantities(state, 0.0)
     far = np.array([5.0, np.sqrt(9 + 64 + 16)])
     potentials = -2 * 2 / 8 - 2 * 5 / far

@@ -34,7 +34,7 @@ def test_ids_are_in_the_order_of_births_of_all_emitters() -> None:
     early = Emitter(rate=4.0, mass=2.0, charge=0.5, radius=0.3)
     late = Emitter(bursts=[(0.1, 2), (0.2, 1)], mass=3.0, lifetime=9.0)
     own = simulation(early, late)
-    state = own.step(own.initial(), 0.0, 0.25).state
+    state = own.step(own.initial_state(), 0.0, 0.25).state
     made = state.particles
     assert made.ids.tolist() == [0, 1, 2, 3]
     assert_allclose(made.births, [0.1, 0.1, 0.125, 0.2])
@@ -58,7 +58,7 @@ def test_who_has_no_room_is_counted_and_told_once(
         Emitter(rate=4.0), Emitter(bursts=[(0.1, 2), (0.2, 1)]), max_particles=most,
         name="sparks",
     )  # fmt: skip
-    stepped = own.step(own.initial(), 0.0, 0.25)
+    stepped = own.step(own.initial_state(), 0.0, 0.25)
     assert (len(stepped.state.particles), stepped.state.missed) == (living, missed)
     assert stepped.state.born == 4
     assert [notice.code for notice in stepped.notices] == said
@@ -75,7 +75,7 @@ def test_lives_end_at_the_end_of_the_step_that_they_last_to() -> None:
     """A life of a quarter of a second is over at a quarter, a longer one is not."""
     for life, left in ((0.25, 0), (0.2501, 2), (0.1, 0)):
         own = simulation(Emitter(bursts=[(0.0, 2)], lifetime=life))
-        state = own.initial()
+        state = own.initial_state()
         assert len(state.particles) == 2
         assert len(own.step(state, 0.0, 0.25).state.particles) == left
         assert own.step(state, 0.0, 0.25).state.born == 2
@@ -88,7 +88,7 @@ def test_who_is_in_a_region_goes_and_who_is_at_its_bound_stays() -> None:
         for x in (0.0, 0.999, 1.0, 1.5)
     ]
     own = simulation(*emitters, kills=[ball])
-    left = own.step(own.initial(), 0.0, 0.25).state
+    left = own.step(own.initial_state(), 0.0, 0.25).state
     assert left.particles.ids.tolist() == [2, 3]
     assert left.state[0, :, 0].tolist() == [1.0, 1.5]
 
@@ -102,7 +102,7 @@ def test_who_cannot_be_moved_out_is_named_with_what_holds_it() -> None:
     ]
     emitter = Emitter(bursts=[(0.0, 1)], radius=0.1)
     own = simulation(emitter, colliders=plates, name="dust")
-    found = own.step(own.initial(), 0.0, 0.25)
+    found = own.step(own.initial_state(), 0.0, 0.25)
     (notice,) = found.notices
     assert (notice.code, notice.where) == ("SIM123", "dust")
     assert notice.message.startswith("particle 0 is inside ")
@@ -126,9 +126,9 @@ def test_energy_is_told_where_nothing_takes_or_brings_any() -> None:
         (field, None),
     ):
         own = simulation(burst, **keys)
-        energy = own.diagnostics(own.initial(), 0.0).energy
+        energy = own.diagnostics(own.initial_state(), 0.0).energy
         assert (None if energy is None else energy.kinetic) == kinetic
-    nobody = simulation(Emitter(rate=1.0)).diagnostics(own.initial(), 0.0)
+    nobody = simulation(Emitter(rate=1.0)).diagnostics(own.initial_state(), 0.0)
     assert [fault.code for fault in nobody.notices_if_empty] == ["SIM188"]
 
 
@@ -146,7 +146,7 @@ def test_kill_regions_around_the_emitters(
 ) -> None:
     kill = KillRegion(Collider(shape, container=container))
     own = simulation(Emitter(rate=1.0), kills=[kill])
-    (notice,) = own.diagnostics(own.initial(), 9.0).notices_if_empty
+    (notice,) = own.diagnostics(own.initial_state(), 9.0).notices_if_empty
     assert (notice.code, notice.where) == ("SIM188", words and "kill[0]")
     assert words is None or words in str(notice.hint)
 
@@ -190,11 +190,11 @@ def test_the_largest_step_that_is_stable_is_of_the_fastest_motion() -> None:
         forces=[spring],
         options=options,
     )
-    told = own.diagnostics(own.initial(), 0.0).stable_step
+    told = own.diagnostics(own.initial_state(), 0.0).stable_step
     assert told is not None
     assert told() == pytest.approx(2 / 3, rel=1e-6)
     empty = simulation(Emitter(rate=1.0), forces=[spring], options=options)
-    assert empty._stable_step(empty.initial()) is None
+    assert empty._stable_step(empty.initial_state()) is None
 
 
 def test_what_a_field_takes_along_has_its_speed_from_the_first_frame_on() -> None:
@@ -234,4 +234,4 @@ def test_who_is_born_into_what_is_no_number_is_told_at_once() -> None:
     field = find_force("field")(x="1 / (t - t)")
     own = simulation(Emitter(rate=4.0), forces=[field])
     with np.errstate(all="ignore"), raises(OptionError, "SIM003"):
-        own.step(own.initial(), 0.0, 0.25)
+        own.step(own.initial_state(), 0.0, 0.25)

@@ -83,7 +83,7 @@ def test_what_a_scene_makes_of_its_entry() -> None:
 def test_a_region_kills_what_is_in_it(height: float, killed: bool) -> None:
     region = KillRegion(Collider(Plane(), Poses.fixed((0, 1, 0)), container=False))
     setup = Particles([Emitter(bursts=[(0.0, 1)])], kills=[region])
-    state = ParticleSimulation(setup, 0.0).initial()
+    state = ParticleSimulation(setup, 0.0).initial_state()
     moved = replace(state, state=np.array([[[5.0, height, 0]], [[0, 0, 0]]]))
     kept = ParticleSimulation(setup, 0.0)._remove_particles(moved, 0.0)
     assert len(kept.particles) == (not killed)

@@ -145,7 +145,7 @@ def run(folder: Path, times: list[float], **keys: Any) -> dict[str, Any]:
             forces.jacobians(t, x, v),
         ]
     return {
-        "begun": simulation.initial(),
+        "begun": simulation.initial_state(),
         "pulls": pulls,
         "seen": seen,
         "state": state,
