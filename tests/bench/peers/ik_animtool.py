@@ -1,4 +1,4 @@
-"""animtool: many problems in a call, or with ``single`` a call for each."""
+"""animtool: many problems in a call, or with ``single`` a call of a session for each."""
 
 import sys
 from collections.abc import Iterator
@@ -9,7 +9,7 @@ from clock import Taken, now, since
 from ik_problems import PARTS, Array, Case
 from ik_serve import Asked, Solved, Solver, serve
 
-from animtool.ik import IkOptions, Targets, build, solve
+from animtool.ik import IkOptions, Session, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
@@ -80,18 +80,34 @@ class Animtool:
 
 
 class Single(Animtool):
-    """The same with a call for each problem."""
+    """The same with a session, and a call of it for each problem."""
 
     def solve(self, starts: Array, frames: range, asked: Asked) -> Iterator[Solved]:
-        options = self._options(asked)
+        session = self._session(self._options(asked))
         for start, frame in zip(starts, frames, strict=True):
-            yield from self._call(start, range(frame, frame + 1), options)
+            yield self._one(session, start, frame)
 
     def follow(self, start: Array, frames: range, asked: Asked) -> Iterator[Solved]:
-        options, pose = self._options(asked, warm=True), start
+        session, pose = self._session(self._options(asked, warm=True)), start
         for frame in frames:
-            ((pose, taken),) = self._call(pose, range(frame, frame + 1), options)
+            pose, taken = self._one(session, pose, frame)
             yield pose, taken
+
+    def _session(self, options: IkOptions) -> Session:
+        return Session(self.problem.rig, *self.problem.goals, options=options)
+
+    def _one(self, session: Session, start: Array, frame: int) -> Solved:
+        (given,) = from_file(self.case.model, start)
+        fields = (self.targets.positions, self.targets.rotations, self.targets.aims)
+        parts = [np.asarray(field)[frame] for field in fields if field is not None]
+        values = {
+            goal.joint: tuple([part[e] for part in parts])
+            for e, goal in enumerate(self.problem.goals)
+        }
+        began = now()
+        result = session.solve(values, start=given)
+        taken = since(began)
+        return to_file(self.case.model, result.coordinates)[0], taken
 
 
 def build_case(case: Case) -> Solver:
