@@ -45,7 +45,6 @@ from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, layer_form
 from animtool.scene.sources.open import source_stem
 from animtool.usd.layers.jobs import LayerForm
-from animtool.usd.layers.sdf import check_prim_path
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import FilePlan
@@ -327,6 +326,8 @@ def _open_rig_layer(rig_layer: Path | None, prim_path: str | None) -> RigTarget 
 
         return open_target(rig_layer, prim_path)
     if prim_path is not None:
+        from animtool.usd.layers.sdf import check_prim_path
+
         check_prim_path(prim_path)
     return None
 

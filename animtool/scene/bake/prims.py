@@ -22,14 +22,13 @@ from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import OutputCost, Progress
 from animtool.scene.sources.open import motion_bytes
 from animtool.usd.layers.jobs import LayerForm, UsdResult, WrittenTake
-from animtool.usd.layers.names import RigPaths
-from animtool.usd.layers.sdf import model_path, save_layer
 
 if TYPE_CHECKING:
     from animtool.edit.thin import ThinnedSamples
     from animtool.scene.bake.frames import BakedTake, TakePlan
     from animtool.scene.systems.character_motion import CharacterRecorder
     from animtool.usd.caches.writer import CachedMesh
+    from animtool.usd.layers.names import RigPaths
     from animtool.usd.rigs.target import RigTarget
 
 
@@ -311,6 +310,9 @@ class BakePlan:
     @property
     def paths(self) -> RigPaths:
         """Paths of the character's prims."""
+        from animtool.usd.layers.names import RigPaths
+        from animtool.usd.layers.sdf import model_path
+
         if self.target is not None:
             return self.target.paths
         name, *other_names = {take.stream.rig.name: None for take in self.takes}
@@ -395,6 +397,8 @@ class BakeState:
 
     def write(self) -> None:
         """Write all files and complete the report."""
+        from animtool.usd.layers.sdf import save_layer
+
         assert self.files is not None
         if self.deferred_frames is None:
             self.files.write(save_layer)
