@@ -63,7 +63,7 @@ def open_markers_source(
         if cameras is None:
             hint = f"animtool mocap solve {path} solves them with a template; {hint}"
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
-    marker_template = load_template(template)
+    marker_template = load_template(template, rig)
     rig_path = rig_of_template(marker_template, rig, template)
     loaded_rig = at_origin(Rig.load(rig_path))
     with faults_in(path):
