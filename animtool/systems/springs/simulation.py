@@ -154,6 +154,9 @@ class SpringSimulation(MotionCounts):
 
     def incompatibility(self, state: SpringState, t: float) -> str:
         """Return why kernels cannot resume from a state; empty if they can."""
+        before, shape = state.before, state.motion.shape
+        if before is not None and before.shape != shape:
+            return f"before has shape {before.shape}, but motion {shape}"
         try:
             self.plan.advance(self._grid_at(state, t), 0)
         except ValueError as error:

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from support.beasts import write_beast
+from support.cli import animtool
 
 from animtool.core.errors import Fault
 from animtool.validation.run import validate
@@ -110,6 +111,8 @@ def test_steps_longer_than_the_scene(
     steps = [one for one in notices(tmp_path, text, last=last) if one.code == "SIM109"]
     assert len(steps) == found
     assert all((one.where or "").endswith(".step") for one in steps)
+    plan = animtool("bake", tmp_path / "a.scene.yaml", "--plan")
+    assert ("SIM109" in plan.stderr) == found
 
 
 @pytest.mark.parametrize(
