@@ -432,13 +432,19 @@ def _unwritten_points_warning(
 
 
 def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
-    """Warn if namespaces should be dropped but no joint has one (USD125)."""
+    """Warn if more namespaces should be dropped than any joint has (USD125)."""
     names = [name for stream in streams for name in stream.rig.names]
-    if not options.strip_namespace or not names or any(":" in name for name in names):
+    name = max(names, key=lambda name: name.count(":"), default="")
+    count, requested_count = name.count(":"), options.strip_namespace
+    if not names or count >= requested_count:
         return []
-    message = argument("strip_namespace", options.strip_namespace)
-    message += f" drops nothing: no joint has a namespace, such as {names[0]!r}"
+    message = argument("strip_namespace", requested_count)
+    message += f" drops nothing: no joint has a namespace, such as {name!r}"
     hint = "namespaces end in a colon, such as hero:Hips; remove the option"
+    if count:
+        message = f"{argument('strip_namespace', requested_count)} drops no more than "
+        message += f"{count}: no joint has more namespaces than {name!r}"
+        hint = f"write {argument('strip_namespace', count)}"
     return [warning("USD125", message, hint)]
 
 

@@ -285,7 +285,7 @@ def _time_codes(
 def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
     """Refuse options that need a character (SCN062)."""
     refused_by_name = refused_options(options, "systems")
-    option_names = [option.label for option in refused_by_name.values()]
+    option_names = list(refused_by_name)
     if options.form in {LayerForm.SPLIT, LayerForm.LAYER, LayerForm.LIBRARY}:
         option_names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
