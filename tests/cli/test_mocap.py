@@ -185,6 +185,9 @@ def test_markers_are_not_cleaned_but_filled(tmp_path: Path) -> None:
     done = animtool("mocap", "clean", "take.npz", "-o", "a.usda", cwd=tmp_path)
     assert done.code == 2
     assert "SOL007" in done.stderr
+    done = animtool("diff", source, source)
+    assert (done.code, done.stdout) == (2, "")
+    assert f"first make a take of them: animtool mocap solve {source}" in done.stderr
     assert "animtool mocap fill take.npz" in done.stderr
 
 
