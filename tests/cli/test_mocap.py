@@ -185,10 +185,14 @@ def test_markers_are_not_cleaned_but_filled(tmp_path: Path) -> None:
     done = animtool("mocap", "clean", "take.npz", "-o", "a.usda", cwd=tmp_path)
     assert done.code == 2
     assert "SOL007" in done.stderr
+    assert "animtool mocap fill take.npz" in done.stderr
+
+
+def test_markers_are_solved_before_takes_are_compared(tmp_path: Path) -> None:
+    source = marker_file(tmp_path, "take.trc")
     done = animtool("diff", source, source)
     assert (done.code, done.stdout) == (2, "")
     assert f"first make a take of them: animtool mocap solve {source}" in done.stderr
-    assert "animtool mocap fill take.npz" in done.stderr
 
 
 def test_two_arrays_of_one_file_have_one_notice(tmp_path: Path) -> None:
