@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -70,7 +69,6 @@ class SpringSimulation(MotionCounts):
         self.begin, self.last, self.clock = start_grid.origin, last_time, clock
         self.step_length = start_grid.cell
         self._start, self.wrenches = start_grid, list[Wrenches]()
-        self.views = list[Any]()  # a `SpringView` for each entry
         self._start_notices = [] if start_grid.index else self.system.notices()
         # Pushed bodies react before the next cell.
         is_coupled = self.system.colliders.bodies or self.system.coupling is not None
