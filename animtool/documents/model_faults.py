@@ -482,7 +482,9 @@ class ModelFaults:
     def _syntax_hint(self, location: Location, faults: list[Any]) -> str | None:
         """Return a hint that shows the correct form of a value; None if unknown."""
         value, structures = faults[0]["input"], expected_structures(faults)
-        comma_hint = self.document.decimal_comma_hint(location)
+        bounds = faults[0].get("ctx", {})
+        count = bounds.get("min_length") or bounds.get("max_length") or 0
+        comma_hint = self.document.decimal_comma_hint(location, count)
         if structures and comma_hint is not None:
             return comma_hint
         if is_euler_angles(faults):
