@@ -455,6 +455,34 @@ def test_a_copied_source_names_the_joint_that_is_left_out(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
+    ("joints", "found"),
+    [({"LeftArm": "thigh_l"}, 1), ({"LeftUpLeg": "hand_r", "Head": "head"}, 1),
+     ({"LeftArm": "upper_arm_l", "LeftUpLeg": "thigh_l"}, 0)],
+)  # fmt: skip
+def test_arms_that_follow_legs_are_named(
+    tmp_path: Path, joints: dict[str, str], found: int
+) -> None:
+    rigs = person(named("mixamo"))[0], person()[0]
+    entries = (f"{{source: {one}, target: {two}}}" for one, two in joints.items())
+    path = written(tmp_path, f"map: animtool/1\njoints: [{', '.join(entries)}]\n")
+    codes = [notice.code for notice in map_joints(*rigs, map_file=path).notices]
+    assert codes.count("MAP114") == found
+
+
+@pytest.mark.parametrize(
+    ("preset", "found"), [("mixamo", False), ("smpl", True), ("openpose_body25", True)]
+)
+def test_presets_of_other_names_are_warned_of(preset: str, found: bool) -> None:
+    rigs = person(named("mixamo"))[0], person()[0]
+    notices = map_joints(*rigs, preset=preset).notices
+    assert ("MAP113" in [notice.code for notice in notices]) == found
+    hints = [notice.hint for notice in notices if notice.code == "MAP113"]
+    assert (
+        hints == [f"write mixamo in place of {preset}, or leave the preset out"] * found
+    )
+
+
+@pytest.mark.parametrize(
     ("entries", "where"),
     [
         ("{source: [B, A], target: [a, b]}", ["joints[0].source"]),
