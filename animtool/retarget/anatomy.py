@@ -170,18 +170,29 @@ def joints_of_part(rig: Rig, name: str) -> tuple[str, list[str]]:
     """Return the part of the body that a name means, and the joints that a rig has.
 
     Both are empty for a name without a known meaning, or if the rig has no such part.
+    A name without a side means both sides.
     """
-    role = name
-    if name not in ROLES:
-        (votes,) = role_votes(parse_names([name], np.array([-1])), None)
-        role = max(votes, key=lambda one: votes[one], default="")
+    role, roles = _role_of_name(name), []
+    if role:
+        # Many rigs call their hips the pelvis.
+        roles = [role, "hips"] if base_role(role) == "pelvis" else [role]
+    elif role := _role_of_name(f"{name}_l"):
+        roles = [f"{base_role(role)}_{side}" for side in SIDES]
+        role = base_role(role)
     if not role:
         return "", []
     anatomy = find_anatomy(rig)
+    joints = [rig.names[j] for each in roles for j in anatomy.chain(each)]
     sides = {"_l": "left ", "_r": "right "}
-    part = base_role(role).replace("_", " ")
-    part_text = sides.get(role[-2:], "") + part
-    return part_text, [rig.names[j] for j in anatomy.chain(role)]
+    return sides.get(role[-2:], "") + base_role(role).replace("_", " "), joints
+
+
+def _role_of_name(name: str) -> str:
+    """Return the role that a name means, by the words of many conventions; else ""."""
+    if name in ROLES:
+        return name
+    (votes,) = role_votes(parse_names([name], np.array([-1])), None)
+    return max(votes, key=lambda role: votes[role], default="")
 
 
 def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:

@@ -243,14 +243,16 @@ def _start_code(scene: Scene, options: BakeOptions, frames: FrameRange) -> Fract
 
 
 def unmoved_frames_warning(scene: Scene, options: BakeOptions) -> list[Fault]:
-    """Return a warning if all frames are before the simulation starts (SIM203)."""
+    """Return a warning if no frame is after the simulation starts (SIM203)."""
     frames = options.frame_range
     if frames is None:
         return []
     start, fps = _start_code(scene, options, frames), options.fps or DEFAULT_FPS
     prerolls = [float(system.setup.spec.preroll) for system in scene.systems]
-    seconds = float((frames.last - start) / fps)
-    if seconds >= -max(prerolls, default=0.0):
+    seconds = float((frames.last - start) / fps) + max(prerolls, default=0.0)
+    is_single = scene.bake.frame_range is not None and frames.first == frames.last
+    is_start = seconds == 0 and is_single and scene.bake.frame_range == frames
+    if seconds >= 0 and not is_start:
         return []
     frame_count = frames.last - frames.first + 1
     frames_text = f"frame {frames.first} is"
@@ -258,6 +260,10 @@ def unmoved_frames_warning(scene: Scene, options: BakeOptions) -> list[Fault]:
         frames_text = f"all frames, {frames.first} to {frames.last}, are"
     message = f"{frames_text} before the simulation starts, at frame "
     message += f"{frame_label(start)}: nothing moves"
+    if is_start:
+        message = f"{frames_text} the only frame, at which the simulation starts: "
+        message += "nothing has moved yet"
+        frame_count = ceil(fps)
     first = ceil(start)
     hint = argument("frame_range", f"{first}-{first + frame_count - 1}")
     location = next(

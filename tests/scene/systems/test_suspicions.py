@@ -325,6 +325,7 @@ BULLET = """\
         ("gravity: {acceleration: [0, -6.9, -6.9]}", False),
         ("wind: {velocity: [6000, 0, 0], drag: 0.01}", True),
         ("wind: {velocity: [90, 0, 0], drag: 0.01}", False),  # a hurricane
+        ("wind: {velocity: [120, 0, 0], drag: 0.01}", True),  # in km/h
         ("uniform: {push: [0, -98.1, 0]}", True),
         ("uniform: {push: [0, -0.0981, 0]}", False),
         ("turbulence: {strength: 700}", True),
