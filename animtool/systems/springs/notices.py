@@ -110,6 +110,11 @@ def _step_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
+        if choice.solver is Solver.SYMPLECTIC_EULER and h <= limit:
+            hint = (
+                "the steps are short enough: springs are too soft for the load; raise "
+            )
+            hint += "their stiffness, or lower the masses"
         if simulation.grid.unresolved_count:
             hint = "colliders push it from inside; see SIM123"
         notices.append(warning("SIM102", message, hint))
