@@ -99,7 +99,6 @@ class Option:
 
     kind: OptionKind
     flag: str = ""  # command-line name, if it differs from the field's
-    label: str = ""  # name in refusals of a scene
     not_for: tuple[str, ...] = ()  # uses that refuse it
     layer_refusal: str = ""  # why an animation layer refuses it; empty if it does not
     # Options that it excludes, with the message if it is not the default.

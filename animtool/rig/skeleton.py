@@ -277,11 +277,12 @@ class Rig:
         "did you mean 'lower'?"
         """
         names = [*other_names, *self.names]
-        if most_similar(name, names) or not self.joints:
+        similar_name = most_similar(name, names)
+        if not self.joints:
             return name_hint(name, names)
         part_names: Any = load_object("animtool.retarget.anatomy:joints_of_part")
         part_text, joints = part_names(self, name)
-        if not joints:
+        if not joints or joints == [similar_name]:
             return name_hint(name, names)
         subject = "joint" if len(joints) == 1 else "joints"
         verb = "is" if len(joints) == 1 else "are"

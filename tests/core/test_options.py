@@ -129,11 +129,6 @@ def test_every_option_of_a_bake_is_documented() -> None:
     ]
 
 
-def test_what_a_use_refuses_has_a_name_there() -> None:
-    for name, described in options_of(BakeOptions).items():
-        assert bool(described.label) == ("systems" in described.not_for), name
-
-
 def test_the_command_has_every_option_that_is_declared() -> None:
     parameters = {parameter.name: parameter for parameter in bake.params}
     for name, described in options_of(BakeOptions).items():
