@@ -52,6 +52,13 @@ TYPICAL_NOISE = math.radians(0.2)
 MAX_REMOVED_POWER = 0.5
 # A change of more than this many times the noise is motion.
 MOTION_NOISE_RATIO = 5.0
+# A walk filtered at 1 Hz moves its feet by less; a step or a swing of an arm that is
+# filtered away moves them by more [size of the rig].
+MAX_DISPLACEMENT = 0.15
+# The largest change by noise alone is at most this multiple of its median [1].
+DISPLACEMENT_NOISE_RATIO = 20.0
+# Frames compared at once.
+COMPARED_FRAMES = 1024
 MAX_LISTED_JOINTS = 6
 
 
@@ -252,10 +259,8 @@ def clean(
     for check in _option_checks(options).values():
         check()
     cleaned_take, signals = clean_take(take, options)
-    return replace(
-        cleaned_take,
-        notices=(*take.notices, *cleaning_notices(take, signals, options)),
-    )
+    notices = cleaning_notices(take, signals, options, cleaned_take)
+    return replace(cleaned_take, notices=(*take.notices, *notices))
 
 
 def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
@@ -272,9 +277,15 @@ def clean_take(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSig
 
 
 def cleaning_notices(
-    take: Take, signals: list[CleanedSignal], options: CleanOptions
+    take: Take,
+    signals: list[CleanedSignal],
+    options: CleanOptions,
+    cleaned_take: Take | None = None,
 ) -> list[Fault]:
-    """Return a note on what was cleaned, and warnings about cut-offs (CAP101-106)."""
+    """Return a note on what was cleaned, and warnings about cut-offs (CAP101-106).
+
+    With the cleaned take, joints that the cut-off moves far are found too.
+    """
     if (
         take.clock.count <= NOISE_ORDER
         and not options.keep_noise
@@ -303,8 +314,9 @@ def cleaning_notices(
             f"{worst_signal.text(worst_signal.max_change)}, its "
             f"noise is {worst_signal.text(worst_signal.noise)}"
         )
-        hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"
-        notices.append(warning("CAP106", message, hint))
+        notices.append(warning("CAP106", message, _cutoff_hint(options, rate)))
+    elif cleaned_take is not None and options.cutoff is not None and filtered_signals:
+        notices += _displacement_warning(take, cleaned_take, signals, options)
     if joints_with_spikes:
         frames = sum(len(s.spikes) for s in signals)
         names = listed(joints_with_spikes, MAX_LISTED_JOINTS)
@@ -314,6 +326,60 @@ def cleaning_notices(
     if summaries:
         notices.append(Fault("CAP101", "; ".join(summaries), severity=Severity.NOTE))
     return notices
+
+
+def _cutoff_hint(options: CleanOptions, rate: float) -> str:
+    """Return a hint to set the cut-off in Hz, with what a normalized one would be."""
+    hint = f"set {argument('cutoff')} in Hz; 6 Hz suits most body motion"
+    cutoff = options.cutoff
+    if cutoff is not None and cutoff < 1:
+        hint += f"; {cutoff:g} of the highest frequency, {rate / 2:g} Hz, would be "
+        hint += f"{cutoff * rate / 2:.3g} Hz"
+    return hint
+
+
+def _displacement_warning(
+    take: Take, cleaned_take: Take, signals: list[CleanedSignal], options: CleanOptions
+) -> list[Fault]:
+    """Return a warning if a cut-off moves a joint far (CAP106).
+
+    Positions are compared with those that the cut-offs for the noise alone leave, and
+    must differ by more than these from the take.
+    """
+    reference, _ = clean_take(take, replace(options, cutoff=None))
+    max_distance, max_joint, max_frame, noise_distance = 0.0, 0, 0, 0.0
+    frame_count = len(take)
+    for frames in np.array_split(
+        np.arange(frame_count), max(1, frame_count // COMPARED_FRAMES)
+    ):
+        positions, reference_positions, cleaned_positions = (
+            one.motion.select(frames).world(take.rig).positions
+            for one in (take, reference, cleaned_take)
+        )
+        distances = np.linalg.norm(cleaned_positions - reference_positions, axis=-1)
+        noise_distances = np.linalg.norm(positions - reference_positions, axis=-1)
+        if not distances.size:
+            continue
+        # Spikes are in few frames.
+        frame_distances = noise_distances.max(axis=1)
+        noise_distance = max(noise_distance, float(np.median(frame_distances)))
+        if distances.max() > max_distance:
+            i, joint = np.unravel_index(distances.argmax(), distances.shape)
+            max_distance, max_joint = float(distances.max()), int(joint)
+            max_frame = int(frames[i])
+    min_distance = DISPLACEMENT_NOISE_RATIO * noise_distance
+    if max_distance <= max(MAX_DISPLACEMENT * rest_size(take.rig), min_distance):
+        return []
+    time_code = float(take.clock.start + max_frame * take.clock.step)
+    noise = max((s.noise for s in signals if not s.is_rotation), default=0.0)
+    message = (
+        f"a cut-off of {options.cutoff:g} Hz moves {take.rig.names[max_joint]!r} by "
+        f"{length_text(max_distance)} at frame {time_code:g}"
+    )
+    if noise:
+        message += f", although the noise of positions is {length_text(noise)}"
+    hint = _cutoff_hint(options, float(take.clock.rate))
+    return [warning("CAP106", message, hint)]
 
 
 def _most_changed_signal(signals: list[CleanedSignal]) -> CleanedSignal | None:
@@ -409,7 +475,7 @@ def _option_checks(options: CleanOptions) -> OptionChecks:
 def _run_pass(take: Take, options: CleanOptions, context: PassContext) -> Take:
     """Run the pass: clean the take and report its noise."""
     cleaned_take, signals = clean_take(take, options)
-    context.notices.extend(cleaning_notices(take, signals, options))
+    context.notices.extend(cleaning_notices(take, signals, options, cleaned_take))
     context.scores.append(noise_scores(take.clock.count, signals))
     return cleaned_take
 

@@ -98,6 +98,7 @@ def _warn_of_range(
     }
     keys_outside = {i: keys for i, keys in keys_outside.items() if len(keys)}
     if not keys_outside:
+        _note_of_repeated_keys(document, channels, first, last)
         return
     i, keys = next(iter(keys_outside.items()))
     frame_text = listed([f"{t:g}" for t in channels[i].times[keys]])
@@ -116,6 +117,27 @@ def _warn_of_range(
     )
     hint = "widen the range, or remove what is never played"
     document.warn("CLIP201", ("channels", i, "keys", int(keys[0]), "t"), message, hint)
+
+
+def _note_of_repeated_keys(
+    document: Document, channels: Sequence[ClipChannel], first: float, last: float
+) -> None:
+    """Add a note if no channel has a key in the range, and some repeat (CLIP201)."""
+    moving_channels = [c for c in channels if len(c.times) > 1]
+    is_repeating = any(
+        not {c.pre, c.post} <= _ACYCLIC_EXTRAPOLATIONS for c in moving_channels
+    )
+    keys_in_range = [(c.times >= first) & (c.times <= last) for c in moving_channels]
+    if not is_repeating or any(mask.any() for mask in keys_in_range):
+        return
+    first_key = min(float(c.times[0]) for c in moving_channels)
+    last_key = max(float(c.times[-1]) for c in moving_channels)
+    if first_key < first and last < last_key:
+        return
+    message = f"no key of any channel is in the range from {first:g} to {last:g}: keys "
+    message += f"are from {first_key:g} to {last_key:g}; only repeated keys are played"
+    hint = f"write range: [{first_key:g}, {first_key + last - first:g}], or move the "
+    document.note("CLIP201", ("range",), message, f"{hint}keys")
 
 
 def keys_without_effect(channel: ClipChannel, first: float, last: float) -> IntArray:

@@ -103,7 +103,6 @@ def _run_trim(
         first_index = round_to_frame_index(
             options.first, "first", is_rounded_down=in_shot
         )
-        first_index = max(0, first_index)
     if options.last is not None:
         last_index = round_to_frame_index(
             options.last, "last", is_rounded_down=not in_shot
@@ -111,6 +110,13 @@ def _run_trim(
     range_ends = {"first": options.first, "last": options.last}
     stated_ends = {name: end for name, end in range_ends.items() if end is not None}
     hint = seconds_hint(stated_ends, first_code, stream.fps)
+    if options.first is not None and first_index < 0 and not in_shot:
+        message = f"first is {options.first:g}, but the take begins at "
+        message += f"{float(first_code):g}; frames have the numbers of the take"
+        first_hint = hint or f"write {argument('first', f'{float(first_code):g}')}"
+        note = Fault("SCN013", message, hint=first_hint, severity=Severity.NOTE)
+        stream.notices.append(note)
+    first_index = max(0, first_index)
     if last_index is not None and last_index < first_index:
         first = float(first_code) if options.first is None else options.first
         message = f"there is no frame from {first:g} to {options.last:g}; the take "
@@ -243,12 +249,15 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     positions = even_positions(frame_indices, offset, rate, clock.count)
     pivot_time, factor = float(pivot_code), float(rate)
     start = clock.start + first_index * clock.step
-    return _resample_at(
+    new_clock = replace(clock, start=start, count=len(frame_indices))
+    result = _resample_at(
         take,
-        replace(clock, start=start, count=len(frame_indices)),
+        new_clock,
         positions,
         lambda times: pivot_time + (times - pivot_time) * factor,
     )
+    warnings = _percentage_warnings(speed, clock, new_clock)
+    return replace(result, notices=(*result.notices, *warnings))
 
 
 def _resample_at(
@@ -295,8 +304,6 @@ def _run_time_scale(
 ) -> Take:
     """Run the pass: play at another speed."""
     result = time_scale(take, options.speed, options.pivot)
-    warnings = _percentage_warnings(options.speed, take.clock, result.clock)
-    context.notices.extend(warnings)
     context.add_notices_once(result.notices[len(take.notices) :])
     return result
 

@@ -92,6 +92,8 @@ def _read_arrays(
         raise file.error("MKR012", f"{counts_text}, above the limit")
     _, underscore, suffix_text = positions_name.rpartition("_")
     suffix = _UNIT_PATTERN.fullmatch(underscore + suffix_text)
+    if suffix and unit is None:
+        file.unit_source = f" (the array is called {positions_name!r})"
     length_unit = file.choose_unit(suffix[1] if suffix else None, unit, LengthUnit.MM)
 
     has_default_prefix = positions_name.partition("_")[0] == DEFAULT_PREFIX

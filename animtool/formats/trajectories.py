@@ -20,6 +20,7 @@ from animtool.core.errors import (
     names_fault,
 )
 from animtool.core.names import numbered_names
+from animtool.core.quantities import length_text
 from animtool.core.rates import (
     MAX_STATED_RATE,
     MIN_STATED_RATE,
@@ -30,6 +31,11 @@ from animtool.core.rates import (
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats import FLOAT32_MAX
+from animtool.motion.marker_size import (
+    is_person_size,
+    is_plausible_size,
+    subject_size,
+)
 
 # Names of unlabelled points, besides an empty name.
 _UNLABELLED_PATTERN = re.compile(
@@ -51,6 +57,11 @@ class CaptureFile:
 
     path: str
     notices: list[Fault] = field(default_factory=list)
+    # Unit in which lengths are read, the one that the file states, and where, such as
+    # in the name of an array.
+    unit: LengthUnit | None = None
+    stated_unit: LengthUnit | None = None
+    unit_source: str = ""
 
     def error(
         self, code: str, message: str, hint: str | None = None, line: int | None = None
@@ -96,18 +107,17 @@ class CaptureFile:
         self, stated_unit: str | None, unit: LengthUnit | None, default: LengthUnit
     ) -> LengthUnit:
         """Return the length unit: the option, else the stated one, else the default."""
-        if unit is not None:
-            return LengthUnit(unit)
-        if stated_unit is None or not stated_unit.strip():
+        if stated_unit is not None and stated_unit.strip():
+            self.stated_unit = _parse_unit(stated_unit.strip().lower().rstrip("s."))
+            if self.stated_unit is None and unit is None:
+                message = f"unknown unit {excerpt(stated_unit)}"
+                hint = f"set one of {', '.join(LengthUnit)} with "
+                raise self.error("MKR011", message, hint + argument("source.unit"))
+        elif unit is None:
             message = f"the file states no unit; using {default}"
             self.note("MKR104", message, f"set the unit with {argument('source.unit')}")
-            return default
-        known_unit = _parse_unit(stated_unit.strip().lower().rstrip("s."))
-        if known_unit is None:
-            message = f"unknown unit {excerpt(stated_unit)}"
-            hint = f"set one of {', '.join(LengthUnit)} with {argument('source.unit')}"
-            raise self.error("MKR011", message, hint)
-        return known_unit
+        self.unit = self.stated_unit or default if unit is None else LengthUnit(unit)
+        return self.unit
 
     def choose_up(self, stated_up: UpAxis | None, up: UpAxis | None) -> UpAxis:
         """Return the up axis: the option, else the stated one, else Y."""
@@ -178,7 +188,42 @@ class CaptureFile:
         is_missing = is_beyond_float32 | is_at_origin | is_missing_code
         positions[is_missing | np.isnan(positions).any(axis=-1)] = np.nan
         positions *= meters
+        self._check_size(positions)
         return positions
+
+    def _check_size(self, positions: FloatArray) -> None:
+        """Warn if positions ``(F, M, 3)`` [m] seem to be in another unit.
+
+        Their size is implausible (MKR117), or the user's unit is not that of the file
+        (MKR118), unless only the user's gives the size of a person.
+        """
+        size = subject_size(positions)
+        if size is None or self.unit is None:
+            return
+        if self.stated_unit is not None and self.stated_unit is not self.unit:
+            stated_size = size / self.unit.meters * self.stated_unit.meters
+            option = argument("source.unit", self.unit)
+            message = f"the file states {self.stated_unit}, but {option} was given: "
+            message += f"the markers of a frame span {length_text(size)} instead of "
+            message += length_text(stated_size)
+            hint = f"leave out {argument('source.unit')}"
+            if not is_person_size(size) and is_person_size(stated_size):
+                self.warn("MKR118", message, hint)
+            elif is_person_size(size) == is_person_size(stated_size):
+                self.note("MKR118", message, f"{hint} if the file is right")
+            return
+        if is_plausible_size(size):
+            return
+        message = f"the markers of a frame span {length_text(size)}"
+        hint = f"set the unit of the file with {argument('source.unit')}"
+        for unit in LengthUnit:
+            fitting_size = size / self.unit.meters * unit.meters
+            if is_person_size(fitting_size):
+                message += f", with lengths in {self.unit}{self.unit_source}; in "
+                message += f"{unit} it would be {length_text(fitting_size)}"
+                hint = f"set {argument('source.unit', unit)}"
+                break
+        self.warn("MKR117", message, hint)
 
 
 def _parse_unit(text: str) -> LengthUnit | None:

@@ -15,8 +15,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import Take, TakeStream
 from animtool.retarget.facts import CaptureFacts, measure_capture
-from animtool.retarget.standing import lying_body_notices
-from animtool.scene.sources.open import SourceOptions, is_usd, open_source
+from animtool.scene.sources.open import SourceOptions, is_usd, open_checked
 
 if TYPE_CHECKING:
     from animtool.edit.cycle import Cycle
@@ -111,8 +110,6 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     clock = take.clock
     capture = measure_capture(take)
     channel_count = stream.details.get("channels")
-    if stream.details.get("format") == "BVH" and (options is None or not options.up):
-        stream.notices.extend(lying_body_notices(Path(path), rig, motion))
     take_names = stream.details.get("takes")
     moving_shapes = [] if motion.weights is None else motion.weights.animated.tolist()
     bounds = np.min(block_minima, axis=0), np.max(block_maxima, axis=0)
@@ -150,12 +147,12 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
 def _open_take(path: Path | str, options: SourceOptions | None) -> TakeStream:
     """Open a take; drop a placement that joints cannot represent."""
     try:
-        return open_source(path, options)
+        return open_checked(Path(path), options)
     except FormatError as error:
         if all(fault.code != "USD035" for fault in error.faults):
             raise
         dropped_placement = replace(options or SourceOptions(), placement="drop")
-        return open_source(path, dropped_placement)
+        return open_checked(Path(path), dropped_placement)
 
 
 def _find_cycle(take: Take) -> Cycle | None:

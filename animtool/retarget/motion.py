@@ -24,6 +24,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.retarget.feet import Foot, PlacedFeet, plant_feet
 from animtool.retarget.hands import AnkleHeights, ArmTracks, arm_joints, hand_contacts
+from animtool.retarget.implausible_motion import GroundCheck
 from animtool.retarget.legs import (
     LegTracks,
     ankle_rotations,
@@ -121,6 +122,7 @@ class Retargeting:
         self.ignored_errors: list[Fault] = []
         # Frame of the source that is its rest pose; None for another one.
         self.rest_frame: int | None = None
+        self.ground_check: GroundCheck | None = None
         self._first_pose: tuple[FloatArray, FloatArray] | None = None
         self.moving_joints: set[int] = set()
         self.max_bone_lengths: FloatArray = np.zeros(len(transfer.source.rig.joints))

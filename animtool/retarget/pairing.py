@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import field
 from functools import partial
 from itertools import pairwise
@@ -153,6 +153,7 @@ def map_joints(
                 _leg_count_warnings(rigs, anatomies)
                 or _crossed_limb_warnings(rigs, anatomies, pairs.values(), map_file)
             ),
+            *_shifted_limb_warnings(rigs, anatomies, pairs, map_file),
         ),
     )
 
@@ -225,6 +226,51 @@ def _crossed_limb_warnings(
     return [_map_warning("MAP114", message, hint, map_file)]
 
 
+def _shifted_limb_warnings(
+    rigs: tuple[Rig, Rig],
+    anatomies: tuple[Anatomy, Anatomy],
+    pairs: Mapping[int, JointPair],
+    map_file: MapFile | Path | str | None,
+) -> list[Fault]:
+    """Return a warning if a joint of a limb follows one that is another's (MAP115).
+
+    ``pairs`` are by joint of the target.
+    """
+    if map_file is None:
+        return []
+    joints_by_role = {role: j for j, role in enumerate(anatomies[1].roles) if role}
+    shifts = []
+    for pair in pairs.values():
+        role = anatomies[0].roles[pair.source]
+        target_role = anatomies[1].roles[pair.target]
+        bones = (base_role(role), base_role(target_role))
+        limbs = ARM_ROLES[1:], LEG_ROLES[1:4]
+        is_same_limb = any({*bones} <= {*limb} for limb in limbs)
+        if not is_same_limb or bones[0] == bones[1] or role[-2:] != target_role[-2:]:
+            continue
+        upper_joint = joints_by_role.get(role)
+        if upper_joint is None or target_role not in anatomies[0].roles:
+            continue
+        upper_pair = pairs.get(upper_joint)
+        if upper_pair is None or upper_pair.source == pair.source:
+            shifts.append((pair, upper_joint, bones[0].replace("_", " ")))
+    if not shifts:
+        return []
+    pair, upper_joint, bone = shifts[0]
+    upper_name, target_name = (rigs[1].names[j] for j in (upper_joint, pair.target))
+    source_name = rigs[0].names[pair.source]
+    message = f"{target_name!r} follows the {bone} {source_name!r}, "
+    if upper_joint in pairs:
+        message += f"as {upper_name!r} does"
+    else:
+        message += f"although {upper_name!r} follows nothing"
+    other_names = [repr(rigs[1].names[shift[0].target]) for shift in shifts[1:]]
+    if other_names:
+        message += f"; the same holds for {listed(other_names, 4)}"
+    hint = f"map {source_name} to {upper_name}, and the joints below it likewise"
+    return [_map_warning("MAP115", message, hint, map_file)]
+
+
 def _leg_count_warnings(
     rigs: tuple[Rig, Rig], anatomies: tuple[Anatomy, Anatomy]
 ) -> list[Fault]:
@@ -245,11 +291,18 @@ def _leg_count_warnings(
 def _unmapped_joints(
     rig: Rig, anatomy: Anatomy, used_joints: set[int]
 ) -> tuple[int, ...]:
-    """Return the unmapped joints that do more than mark the end of a bone."""
-    return tuple(
+    """Return the unmapped joints that do more than mark the end of a bone.
+
+    Those of limbs come first.
+    """
+    joints = [
         j
         for j in range(len(rig.joints))
         if j not in used_joints and anatomy.roles[j] != END
+    ]
+    limb_roles = {*ARM_ROLES, *LEG_ROLES}
+    return tuple(
+        sorted(joints, key=lambda j: base_role(anatomy.roles[j]) not in limb_roles)
     )
 
 

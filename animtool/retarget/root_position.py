@@ -122,7 +122,7 @@ def root_warning(
     """
     if not motion.frames or not is_character(rig.names) or len(rig.roots) != 1:
         return None
-    root, leg_length = int(rig.roots[0]), _leg_length(rig)
+    root, leg_length = int(rig.roots[0]), upright_leg_length(rig)
     if leg_length is None:
         return None
     name, up = rig.joints[root].name, np.array(rig.up.vector, float)
@@ -137,13 +137,13 @@ def root_warning(
     return warning(code, f"the root {name!r} {message}", hint)
 
 
-def _leg_length(rig: Rig) -> float | None:
+def upright_leg_length(rig: Rig) -> float | None:
     """Return the height of the hips over the feet at rest [m].
 
     None if the root is elsewhere, or if the legs are not upright at rest.
     """
     positions = rest_world(rig).positions[0]
-    up, hips = np.array(rig.up.vector, float), _find_hips(rig)
+    up, hips = np.array(rig.up.vector, float), find_hips(rig)
     feet = find_feet(rig.names)
     joint = int(feet[(positions[feet] @ up).argmin()])
     length = float((positions[hips] - positions[joint]) @ up)
@@ -241,7 +241,7 @@ def _is_leg_length(ratios: FloatArray) -> bool:
     return is_close and float(ratios.std()) < HEIGHT_DEVIATION
 
 
-def _find_hips(rig: Rig) -> int:
+def find_hips(rig: Rig) -> int:
     """Return the lowest joint whose subtree contains all feet."""
     paths = [set(rig.upwards(foot)) for foot in find_feet(rig.names).tolist()]
     return max(set.intersection(*paths))

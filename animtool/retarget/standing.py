@@ -22,6 +22,11 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.motion.motion import Motion
 from animtool.motion.quaternion_order import order_warning
 from animtool.motion.take import TakeStream
+from animtool.retarget.implausible_motion import (
+    CAPTURE_FORMATS,
+    GroundCheck,
+    fast_motion_warning,
+)
 from animtool.retarget.root_position import root_warning
 from animtool.retarget.swapped_legs import swapped_legs_warning
 from animtool.rig.body_size import fitting_unit, size_warning_texts
@@ -331,21 +336,22 @@ def with_source_warnings(
     namer: ArgumentNamer | None = None,
     reported_codes: Collection[str] = (),
 ) -> TakeStream:
-    """Return a stream with warnings about its rate, its size and its up axis.
+    """Return a stream with warnings about its rate, size, up axis and ground.
 
     ``unit`` and ``up`` are those that the user chose. With a ``namer``, all notices of
     the stream name arguments by it. Warnings about the rate are left out if the
     reader's notices or ``reported_codes`` contain one.
 
-    MOT214 is determined from the first block: a warning if the user chose the axis
-    ``up``, the file states it or markers were solved, and a note for BVH, which states
-    no axis.
+    MOT209 is determined from all blocks, and MOT214 from the first: a warning if the
+    user chose the axis ``up``, the file states it or markers were solved, and a note
+    for BVH, which states no axis.
     """
     rate = stream.fps / stream.step
     known_codes = {notice.code for notice in stream.notices}
     reader = reader_of(path)
     has_rate = reader is not None and "fps" in reader.options
-    rate_warnings = rate_warning(rate, "source.fps" if has_rate else None)
+    rate_argument = "source.fps" if has_rate else None
+    rate_warnings = rate_warning(rate, rate_argument)
 
     located_warnings = [notice.in_file(path) for notice in rate_warnings]
     if "TAKE009" in reported_codes:
@@ -369,9 +375,15 @@ def with_source_warnings(
     is_note = up is None and file_format == "BVH"
     severity = Severity.NOTE if is_note else Severity.WARNING
 
+    ground_check = GroundCheck(stream)
+
     def blocks() -> Iterator[Motion]:
-        """Yield the blocks; check the first for its up axis."""
+        """Yield the blocks; check the first for its up axis, and all for the ground."""
         for i, block in enumerate(stream.blocks):
+            ground_check.add(block)
+            if i == 0 and file_format in CAPTURE_FORMATS:
+                warnings = fast_motion_warning(stream.rig, block, rate, rate_argument)
+                add_notices(fault.in_file(path) for fault in warnings)
             if i == 0 and file_format not in {"BVH", "markers"}:
                 add_notices(order_warning(stream.rig, block, str(path)))
             if i == 0 and unit is None and file_format in SIZED_FORMATS:
@@ -393,6 +405,8 @@ def with_source_warnings(
                     if problem is not None and problem.code not in known_codes:
                         add_notices([problem.in_file(path)])
             yield block
+        reported = [*reported_codes, *(notice.code for notice in stream.notices)]
+        add_notices(fault.in_file(path) for fault in ground_check.notices(reported))
 
     return replace(stream, blocks=blocks())
 

@@ -26,6 +26,7 @@ from animtool.core.options import with_text_values
 from animtool.core.quantities import length_text, plain_number
 from animtool.core.record import dataclass
 from animtool.documents.versions import file_of_kind
+from animtool.maths import so3
 from animtool.motion.motion import Motion
 from animtool.motion.passes import (
     MOTION_PARTS,
@@ -39,6 +40,11 @@ from animtool.motion.passes import (
 from animtool.motion.take import TakeStream
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.file import load_map
+from animtool.retarget.implausible_motion import (
+    CAPTURE_FORMATS,
+    GroundCheck,
+    fast_motion_warning,
+)
 from animtool.retarget.map import JointMap
 from animtool.retarget.motion import Retargeting, build_transfer
 from animtool.retarget.names import check_presets
@@ -61,12 +67,15 @@ from animtool.retarget.standing import (
     unit_warnings,
 )
 from animtool.retarget.swapped_legs import swapped_legs_warning
+from animtool.retarget.transfer import Transfer
 from animtool.retarget.verdict import is_likely_scale
 from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
 # Bones of a complete limb.
+# Limbs in the same pose at rest differ by less [deg]; an A-pose differs by 30 or more.
+MAX_REST_DIFFERENCE = 20.0
 LIMB_BONES = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
 # Minimum fraction of a take's moving joints that are paired [1].
 MIN_PAIRED_FRACTION = 1 / 3
@@ -220,26 +229,28 @@ def retarget_stream(
             hint += " if it does not lie"
         notices.append(warning("MAP009", message, hint))
         source = replace(source, up=stance_axis)
-    rest = rest_rotations
-    transfer = build_transfer(source, rig, joint_map, rest, has_same_rest=has_same_rest)
-    notices += _size_warnings(stream, transfer.scale)
+    transfer = build_transfer(
+        source, rig, joint_map, rest_rotations, has_same_rest=has_same_rest
+    )
+    notices += _fit_warnings(stream, transfer, joint_map if has_same_rest else None)
     known_codes = {notice.code for notice in (*notices, *stream.notices)}
     notices += [
         notice
         for notice in (() if is_swapped else _source_warnings(stream, first_block))
         if notice.code not in known_codes
     ]
+    ground_check = GroundCheck(stream)
     retargeting = Retargeting(
         transfer,
         joint_map,
-        chain([first_block], blocks),
+        ground_check.through(chain([first_block], blocks)),
         float(stream.fps / stream.step),
         lock=not options.free_feet,
         plants_similar_legs=plants_similar_legs,
         hands=options.hold_hands,
         props=props,
     )
-    retargeting.rest_frame = frame
+    retargeting.rest_frame, retargeting.ground_check = frame, ground_check
     fault = zero_length_fault(source, joint_map, retargeting.max_bone_lengths)
     if fault is None and options.map is None:
         fault = insufficient_pairs_fault(
@@ -370,13 +381,45 @@ def _size_warnings(stream: TakeStream, scale: float) -> list[Fault]:
     return [warning("MAP106", message, hint)]
 
 
+def _fit_warnings(
+    stream: TakeStream, transfer: Transfer, equated_map: JointMap | None
+) -> list[Fault]:
+    """Return warnings about sizes, and about rest poses that the map equates."""
+    warnings = _size_warnings(stream, transfer.scale)
+    if equated_map is not None:
+        warnings += _other_rest_warnings(transfer, equated_map)
+    return warnings
+
+
+def _other_rest_warnings(transfer: Transfer, joint_map: JointMap) -> list[Fault]:
+    """Return a warning if limbs at rest differ, although rests are equated (MAP110)."""
+    aimed = Transfer.of(transfer.source, transfer.target, joint_map)
+    angles = so3.angle_between(transfer.rest_alignment, aimed.rest_alignment)
+    bones = {bone for limb in LIMB_BONES.values() for bone in limb[:2]}
+    is_limb = [base_role(role) in bones for role in transfer.target.roles]
+    angles = np.degrees(np.where(is_limb, angles, 0.0))
+    if float(angles.max(initial=0.0)) < MAX_REST_DIFFERENCE:
+        return []
+    j = int(angles.argmax())
+    source_joint = int(transfer.source_joints[j])
+    names = transfer.source.rig.names[source_joint], transfer.target.rig.names[j]
+    message = f"with {argument('rest', 'rig')}, {names[0]!r} of the take and "
+    message += f"{names[1]!r} of the rig count as equal at rest, but differ by "
+    message += f"{angles[j]:.0f}°, as an A-pose from a T-pose"
+    return [warning("MAP110", message, f"leave out {argument('rest')}")]
+
+
 def _source_warnings(stream: TakeStream, first_block: Motion) -> list[Fault]:
-    """Return warnings about the root and the legs of a take."""
+    """Return warnings about the root, the legs and the rate of a take."""
+    rate = stream.fps / stream.step
     notices = (
-        root_warning(stream.rig, first_block, float(stream.step / stream.fps)),
+        root_warning(stream.rig, first_block, float(1 / rate)),
         swapped_legs_warning(stream.rig, first_block),
     )
-    return [notice for notice in notices if notice is not None]
+    fast_motion = []
+    if stream.details.get("format") in CAPTURE_FORMATS:
+        fast_motion = fast_motion_warning(stream.rig, first_block, rate, "source.fps")
+    return [*filter(None, notices), *fast_motion]
 
 
 def _rig_path(options: RetargetPassOptions) -> Path:
@@ -439,6 +482,9 @@ def checked_blocks(
     """
     yield from retargeting.blocks()
     file = None if path is None else str(path)
+    if retargeting.ground_check is not None:
+        ground_notices = retargeting.ground_check.notices([n.code for n in notices])
+        notices += [replace(notice, path=file) for notice in ground_notices]
     stopped_joints = retargeting.stopped_by_rest_frame
     if stopped_joints:
         message = f"with frame {options.rest} as the rest pose, limits stop "

@@ -113,7 +113,9 @@ def _repair_and_fill(
     """Run the repairs that the options ask for; see `fill_markers`."""
     swaps: list[Swap] = []
     spikes: list[Spike] = []
-    if not options.keep_swaps:
+    # Distances in the wrong unit look like swaps.
+    has_unit = all(notice.code != "MKR117" for notice in markers.notices)
+    if not options.keep_swaps and has_unit:
         markers, swaps = repair_swaps(markers)
     if not options.keep_spikes:
         spikes = find_spikes(markers)

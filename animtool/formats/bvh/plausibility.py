@@ -22,6 +22,9 @@ RATE_TOLERANCE = Fraction(2, 1000)
 # A body travels if its root moves farther than this fraction of its size; its largest
 # rotation then looks like radians in this range. Smaller changes are noise [deg].
 MIN_TRAVEL_FRACTION, MIN_RADIANS, MAX_RADIANS, MIN_CHANGE = 0.5, 0.7, 6.4, 0.1
+# A body that does not travel moves if this fraction of its rotation channels changes;
+# most channels are those of fingers.
+MIN_MOVING_FRACTION = 0.1
 
 
 def stated_rate_note(
@@ -93,20 +96,29 @@ class ChannelRanges:
 
 
 def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
-    """Return a warning if the rotations of a moving body look like radians (BVH112)."""
+    """Return a notice if the rotations of a body look like radians (BVH112).
+
+    A warning for a body that travels, and a note for one that moves in place.
+    """
     if len(rig.joints) < MIN_BODY_JOINTS or not np.isfinite(ranges.travel):
         return []
     max_angle, moving_channel_count = ranges.rotation_summary
     is_static = moving_channel_count < MIN_BODY_JOINTS
-    if is_static or ranges.travel <= MIN_TRAVEL_FRACTION * rest_size(rig):
+    if is_static or not MIN_RADIANS <= max_angle <= MAX_RADIANS:
         return []
-    if not MIN_RADIANS <= max_angle <= MAX_RADIANS:
+    is_traveling = ranges.travel > MIN_TRAVEL_FRACTION * rest_size(rig)
+    is_moving = moving_channel_count >= MIN_MOVING_FRACTION * len(ranges.columns)
+    if not is_traveling and not (is_moving and max_angle <= np.pi):
         return []
-    message = (
-        f"the body travels {length_text(ranges.travel)}, but none of "
-        f"{moving_channel_count} rotation channels that change exceeds "
-        f"{max_angle:.3g}: the rotations look like radians"
-    )
+    message = f"none of {moving_channel_count} rotation channels that change exceeds "
+    message += f"{max_angle:.3g}: the body hardly moves, unless they are radians"
+    if is_traveling:
+        message = (
+            f"the body travels {length_text(ranges.travel)}, but none of "
+            f"{moving_channel_count} rotation channels that change exceeds "
+            f"{max_angle:.3g}: the rotations look like radians"
+        )
     hint = f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
     hint += "export degrees, or multiply the rotation channels by 57.2958"
-    return [Fault("BVH112", message, path, (), hint, Severity.WARNING)]
+    severity = Severity.WARNING if is_traveling else Severity.NOTE
+    return [Fault("BVH112", message, path, (), hint, severity)]

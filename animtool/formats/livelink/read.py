@@ -36,6 +36,8 @@ DROPPED_FRAME_OPTIONS: tuple[DroppedFrames, ...] = ("interpolate", "hold", "clos
 MAX_LISTED_SHAPES = 12
 # Weights are percentages if this fraction is above 1, and none above the maximum.
 MIN_PERCENTAGE_FRACTION, MAX_PERCENTAGE = 0.25, 200.0
+# Angles of a recording are from -pi to pi, rounded to a few digits [1].
+ANGLE_TOLERANCE = 1e-3
 # Joint names and positions [m] of the default rig; positions only need to be distinct.
 _JOINT_NAMES = {HEAD: "head", LEFT_EYE: "eye_l", RIGHT_EYE: "eye_r"}
 _DEFAULT_POSITIONS = {HEAD: (0.0, 0.0, 0.0), LEFT_EYE: (0.032, 0.03, 0.08)}
@@ -243,6 +245,7 @@ def _warn_of_values(
             message = f"{names[c]} has no value in {counted(len(lines), 'row')}: "
             message += value_treatment
             file.warn("LLF102", message, None, *lines[:MAX_LISTED_SHAPES])
+    _warn_of_degrees(recording)
     # Values are kept: some rigs exceed 1, and percentages are detected.
     weights = links.map_sources(recording.weights)
     with np.errstate(invalid="ignore"):
@@ -259,6 +262,22 @@ def _warn_of_values(
         else:
             message += " after the remap file"
         file.warn("LLF109", message, hint, int(recording.line_numbers[row]))
+
+
+def _warn_of_degrees(recording: Recording) -> None:
+    """Warn of angles that no radians from -pi to pi have (LLF112)."""
+    magnitudes = np.abs(np.nan_to_num(recording.rotations, posinf=0.0, neginf=0.0))
+    is_too_large = magnitudes > np.pi * (1 + ANGLE_TOLERANCE)
+    if not is_too_large.any():
+        return
+    row, column = np.argwhere(is_too_large)[0].tolist()
+    angle, name = recording.rotations[row, column], recording.angle_names[column]
+    count = int(is_too_large.sum())
+    message = f"{counted(count, 'angle')} outside -pi to pi, the first {name} = "
+    message += f"{angle:g}: in radians that is {np.degrees(angle):.0f}°"
+    hint = "the head and the eyes are in radians: divide the columns by 57.2958, or "
+    hint += "export radians"
+    recording.file.warn("LLF112", message, hint, int(recording.line_numbers[row]))
 
 
 def _scale_hint(weights: FloatArray, shape: str) -> str:

@@ -38,9 +38,12 @@ if TYPE_CHECKING:
 SUSPECT_SOURCES = {
     "BVH115": "the root channels of the take",
     "BVH116": "an offset of the take",
+    "MAP115": "the map",
+    "MOT209": "the height of the take",
     "MOT210": "left and right of the take",
     "MOT213": "the unit of the take",
     "MOT214": "the up axis of the take",
+    "TAKE012": "the rate of the take",
 }
 
 
