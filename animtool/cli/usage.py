@@ -46,12 +46,15 @@ OTHER_OPTIONS = {
 }
 # Names for a range of frames or its ends.
 _FRAME_RANGE_NAMES = {
+    *("-s", "-e"),
     "--range",
     "--frames",
     "--frame-range",
     *(f"--{end}{suffix}" for end in ("start", "end") for suffix in ("", "-frame")),
     *(f"--{end}{suffix}" for end in ("first", "last") for suffix in ("", "-frame")),
 }
+# Options of commands that read a clip, whose file names them.
+_FILES_NAMED_IN_CLIPS = {"--rig"}
 # Similarity from which an option is suggested, or if another command has the name.
 MIN_SIMILARITY, HIGH_SIMILARITY = 0.75, 0.9
 # Names of a command's first argument in other tools.
@@ -237,9 +240,11 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
         yield f"did you mean {equivalent_flags[0]!r}?"
     if name in _FRAME_RANGE_NAMES:
         if "--range" in flags:
-            yield "did you mean '--range'?"
+            yield f"did you mean '--range'{', such as 1-24' * (len(name) == 2)}?"
         elif {"--first", "--last"} <= {*flags}:
             yield f"{command_path} takes a range of frames as --first and --last"
+    if command.name == "validate" and name in _FILES_NAMED_IN_CLIPS:
+        yield f"a clip is checked on the rig that it names; leave out {name}"
     argument = _argument_named(bare_name, command)
     if argument is not None:
         yield f"{argument} is an argument: {command_path} {argument}"

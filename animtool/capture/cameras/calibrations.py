@@ -121,9 +121,7 @@ def parse_calibration(
         cameras.append(camera)
     document.check()
     unit_location: Location = () if stated_unit is None else ("units",)
-    warn_of_spread(
-        document, unit_location, cameras, unit, is_unit_stated=stated_unit is not None
-    )
+    warn_of_spread(document, unit_location, cameras, unit, stated_unit)
     warn_of_focal_lengths(
         document, [location for location, _, _ in camera_tables], cameras
     )

@@ -146,7 +146,8 @@ def parse_cameras(
         )
     document.check()
     location = ("units", "length") if is_unit_stated else ("views", 0, "translation")
-    warn_of_spread(document, location, cameras, unit, is_unit_stated=is_unit_stated)
+    stated_unit = unit if is_unit_stated else None
+    warn_of_spread(document, location, cameras, unit, stated_unit)
     focal_locations = [("views", i, "focal") for i in range(len(cameras))]
     warn_of_focal_lengths(document, focal_locations, cameras)
     notices = tuple(document.notices)

@@ -84,20 +84,38 @@ class Observations:
         return np.ascontiguousarray(self.confidences[first:end:step], np.float64)
 
 
+PIXEL_AXES = "u points right and v down, from the top left"
+# Sizes of images, relative to those of proxies or of upscaled pictures [1].
+PROXY_FACTORS = (2.0, 4.0, 3.0, 1.5, 0.5, 0.25, 1 / 3, 2 / 3)
+
+
 def pixels_in_other_conventions(
     observations: Observations, cameras: Sequence[Camera]
 ) -> Iterator[tuple[str, str, npt.NDArray[Any]]]:
     """Yield name, remedy and stored pixels of each convention that a file may have.
 
-    They are swapped coordinates and, if image sizes are known, v from the bottom.
+    They are swapped coordinates, pixels of images of another size and, if image sizes
+    are known, v from the bottom.
     """
     stored = observations.stored
-    yield "[v, u]", "exchange them", np.ascontiguousarray(stored[..., ::-1])
+    yield (
+        "[v, u]",
+        f"exchange them: {PIXEL_AXES}",
+        np.ascontiguousarray(stored[..., ::-1]),
+    )
     if observations.missing is None and all(camera.size for camera in cameras):
         heights = np.array([camera.size[1] for camera in cameras if camera.size])
         flipped = np.array(stored, np.float64)
         flipped[..., 1] = heights[:, None] / observations.unit - flipped[..., 1]
-        yield "counted from the bottom", "write the height minus v", flipped
+        remedy = f"write the height minus v: {PIXEL_AXES}"
+        yield "counted from the bottom", remedy, flipped
+    for factor in PROXY_FACTORS:
+        scaled = factor * np.array(stored, np.float64)
+        if observations.missing is not None:
+            scaled[stored == observations.missing] = observations.missing
+        remedy = f"multiply them by {factor:.3g}, the size of the calibrated images "
+        remedy += "over that of these"
+        yield f"{factor:.3g} times as large", remedy, scaled
 
 
 def read_observations(

@@ -61,11 +61,11 @@ def warn_of_spread(
     location: Location,
     cameras: Sequence[Camera],
     unit: LengthUnit,
-    *,
-    is_unit_stated: bool,
+    stated_unit: LengthUnit | None,
 ) -> None:
     """Warn of cameras that are too far apart, or too close (CAM113).
 
+    ``unit`` is that of the user, else the ``stated_unit`` of the file.
     ``location`` is where the file states the unit, or else the first translation.
     """
     positions = np.array([camera.position for camera in cameras]).reshape(-1, 3)
@@ -83,6 +83,9 @@ def warn_of_spread(
     if MIN_CAMERA_SPREAD <= converted_spread <= MAX_CAMERA_SPREAD:
         message += f"; in {nearest_unit} it would be {length_text(converted_spread)}"
         hint = f"write units: {{length: {nearest_unit}}} in the file"
-        if not is_unit_stated:
+        if stated_unit is nearest_unit:
+            hint = f"leave out {argument('source.unit', unit)}: the file states "
+            hint += f"{stated_unit}"
+        elif stated_unit is None:
             hint += f", or set {argument('source.unit', nearest_unit)}"
     document.warn("CAM113", location, message, hint)

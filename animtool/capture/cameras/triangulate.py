@@ -192,7 +192,7 @@ class _TriangulationRun:
         raise OptionError(Fault("CAM014", message, path, hint=hint))
 
     def _refuse_other_pixels(self, max_noise: float) -> None:
-        """Raise if pixels fit as [v, u], or with v upwards (CAM014)."""
+        """Raise if pixels fit as [v, u], scaled, or with v upwards (CAM014)."""
         cameras, observations = self.cameras.cameras, self.observations
         noise_as_read = sampled_noise(observations, cameras)
         for convention, remedy, stored in pixels_in_other_conventions(
@@ -203,9 +203,8 @@ class _TriangulationRun:
                 message = "rays of the cameras miss each other by "
                 message += f"{pixels_text(noise_as_read)}, but by {pixels_text(noise)} "
                 message += f"if pixels are {convention}"
-                hint = f"{remedy}: u points right and v down, from the top left"
                 path = observations.path or None
-                raise OptionError(Fault("CAM014", message, path, hint=hint))
+                raise OptionError(Fault("CAM014", message, path, hint=remedy))
 
     @property
     def _max_condition(self) -> float:
@@ -378,7 +377,8 @@ class _TriangulationRun:
                     )
                 )
         hint = "is this the calibration of these cameras, in this order, for images of "
-        hint += "this size?"
+        points = self.observations.path
+        hint += f"the size of those in {points}?" if points else "this size?"
         path = self.cameras.path or None
         raise OptionError(Fault("CAM014", message, path, (), hint))
 

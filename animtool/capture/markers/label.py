@@ -231,7 +231,7 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
     tracklets = track_points(cloud.positions, rate)
     marker_of_first_run = _name_first_runs(cloud, tracklets, rest_shape)
     if marker_of_first_run is None:
-        message = "no group of points moves like a segment of the trial"
+        message = "no group of points moves like a segment of the static trial"
         hint = "does it show the same subject, with the same markers and unit?"
         raise OptionError(Fault("MKR021", message, hint=hint))
     rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)

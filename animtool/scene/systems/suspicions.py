@@ -96,10 +96,11 @@ def _warn_of_length(
     # Lengths with a unit are texts.
     if not isinstance(length, int | float) or length < MAX_THICKNESS:
         return
-    message = f"{key} {length:g} makes the surface {length_text(2 * length)} thick"
+    message = f"{key} {length:g} is a thickness of {length_text(2 * length)}"
     if key == "thickness":
         message = f"thickness {length:g} is {length_text(length)}, in metres"
-    hint = f"for {length:g} mm write {length / 1000:g}"
+    hint = f"for {length:g} mm write {length / 1000:g}, for {length:g} cm "
+    hint += f"{length / 100:g}"
     document.warn("SIM200", (*location, key), message, hint)
 
 

@@ -378,7 +378,7 @@ class ParticleSimulation:
         start_times = [
             min(
                 [
-                    *(time for time, _ in emitter.bursts),
+                    *(time for time, count in emitter.bursts if count),
                     emitter.start if emitter.rate else np.inf,
                 ]
             )
@@ -393,6 +393,16 @@ class ParticleSimulation:
             hint = "times are in seconds from the first frame of the range"
             location = f"emitters[{start_times.index(first_time)}]"
             return warning("SIM188", message, hint, location)
+        for i, emitter in enumerate(emitters):
+            if emitter.bursts and not any(count for _, count in emitter.bursts):
+                burst_time = emitter.bursts[0][0]
+                message += f": a burst of 0 particles is at {burst_time:g} s"
+                hint = "rows of bursts are [seconds, number]"
+                if burst_time > 0 and burst_time == round(burst_time):
+                    hint += f"; for {burst_time:g} particles at the start write "
+                    hint += f"[0, {burst_time:g}]"
+                location = f"emitters[{i}].bursts[0]"
+                return warning("SIM188", message, hint, location)
         hint = "set a rate or bursts, and a start and a lifetime with which "
         return warning("SIM188", message, hint + "particles exist in the range")
 

@@ -26,6 +26,7 @@ from animtool.systems.springs import (
 from animtool.systems.springs.body_coupling import BodyAttachment, BodyCoupling
 from animtool.systems.springs.constraints import merge_constraints
 from animtool.systems.springs.entry import SpringEntry, join_pairs
+from animtool.systems.springs.notices import MAX_LENGTH_RATIO, stretch_warning
 from animtool.systems.springs.pins import (
     air_of,
     align_to_pins,
@@ -195,6 +196,17 @@ class _SystemBuilder:
                 message = "it stands upright on its pins, and would fall over"
                 hint = "pin its other end, or let it settle in a preroll, with drag"
             self._notices.append(warning("SIM152", message, hint, "settle"))
+        springs = system.body.springs
+        has_length = springs.rest > 0
+        lengths = springs.lengths(equilibrium.positions)
+        ratios = np.divide(
+            lengths, springs.rest, out=np.ones_like(lengths), where=has_length
+        )
+        if ratios.max(initial=1.0) > MAX_LENGTH_RATIO:
+            longest = int(ratios.argmax())
+            strain, stiffness = ratios[longest] - 1.0, springs.stiffness[longest]
+            fault = stretch_warning(float(strain), float(stiffness))
+            self._notices.append(replace(fault, where="springs"))
         return system.starting_at(equilibrium.positions)
 
     def _warn_gap(self, subject: str, gap: float) -> None:

@@ -31,6 +31,11 @@ DAMPING_SOLVERS = frozenset({Solver.XPBD, Solver.IMPLICIT_EULER})
 MIN_REPORTED_FRACTION = 0.02
 # Speed below which the system counts as at rest [m/s].
 REST_SPEED = 1e-3
+# Largest unreported length of a spring, relative to that at the start, or to its length
+# at rest after settling [1].
+MAX_LENGTH_RATIO = 2.0
+# Strain that ropes and cloth show under their load [1].
+GOOD_STRAIN = 0.05
 
 
 class MotionCounts:
@@ -144,6 +149,21 @@ def _strain_notices(simulation: MotionCounts) -> list[Fault]:
         hint = "raise their stiffness, or reduce the attached mass"
         return [Fault("SIM161", message, hint=hint, severity=Severity.NOTE)]
     return []
+
+
+def stretch_warning(strain: float, stiffness: float, prefix: str = "") -> Fault:
+    """Return a warning about a spring of a stiffness [N/m] that stretches (SIM187)."""
+    message = f"{prefix}springs stretch {percent_text(strain)} beyond their length at "
+    message += "rest"
+    hint = "raise the stiffness [N/m] of each spring, or lower the mass [kg]"
+    # The strain under a load is inverse to the stiffness.
+    needed_stiffness = float(f"{stiffness * strain / GOOD_STRAIN:.0e}")
+    if needed_stiffness > 0:
+        message += f": in a row of springs, each of {plain_number(stiffness)} N/m "
+        message += "carries the load"
+        hint = f"write stiffness: {needed_stiffness:g} for a stretch of about "
+        hint += f"{percent_text(GOOD_STRAIN)}, or lower the mass [kg]"
+    return warning("SIM187", message, hint)
 
 
 def _convergence_hint(simulation: MotionCounts) -> str:

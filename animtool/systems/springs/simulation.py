@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity, percent_text, warning
+from animtool.core.errors import Fault, Severity
 from animtool.motion.frames import PointsFrame
 from animtool.sim.checks import EnergyWatch
 from animtool.sim.colliders.bodies import Wrenches
@@ -28,9 +28,11 @@ from animtool.systems.springs.choosing import trial_settings
 from animtool.systems.springs.motion import SpringState, TimeGrid
 from animtool.systems.springs.notices import (
     DAMPING_SOLVERS,
+    MAX_LENGTH_RATIO,
     EnergyLoss,
     MotionCounts,
     motion_notices,
+    stretch_warning,
 )
 from animtool.systems.springs.records import Solver
 from animtool.systems.springs.solvers import LOOKBACK_TIME, SpringPlan
@@ -39,8 +41,6 @@ from animtool.systems.springs.solvers import LOOKBACK_TIME, SpringPlan
 CELLS_PER_CHECK = 120
 # Codes of faults that stop a simulation.
 STOP_CODES = {"SIM102", "SIM105"}
-# Largest unreported spring length, relative to the start [1].
-MAX_LENGTH_RATIO = 2.0
 
 
 class SpringSimulation(MotionCounts):
@@ -54,7 +54,7 @@ class SpringSimulation(MotionCounts):
 
     checked = True
     status, stop_reason = Status.OK, ""
-    max_strain = 0.0
+    max_strain, _longest_stiffness = 0.0, 0.0
     # Whether surfaces of other systems may release states before the current time.
     releases_states = True
 
@@ -274,8 +274,11 @@ class SpringSimulation(MotionCounts):
         is_intact = ~self.system.torn(state.torn) & (springs.rest > 0)
         if is_intact.any():
             lengths = springs.lengths(state.motion[0])[is_intact]
-            strain = float((lengths / springs.rest[is_intact]).max()) - 1.0
-            self.max_strain = max(self.max_strain, strain)
+            ratios = lengths / springs.rest[is_intact]
+            if float(ratios.max()) - 1.0 > self.max_strain:
+                longest = np.flatnonzero(is_intact)[ratios.argmax()]
+                self.max_strain = float(ratios.max()) - 1.0
+                self._longest_stiffness = float(springs.stiffness[longest])
         if self.choice.solver in DAMPING_SOLVERS and self.system.self_contact is None:
             energy = self._energy(state, t)
             if energy is not None:
@@ -354,10 +357,7 @@ class SpringSimulation(MotionCounts):
         max_length = MAX_LENGTH_RATIO * (1 + self._initial_strain)
         if can_tear or 1 + self.max_strain <= max_length:
             return []
-        strain = percent_text(self.max_strain)
-        message = f"{prefix}springs stretch {strain} beyond their length at rest"
-        hint = "raise the stiffness [N/m] of each spring, or lower the mass [kg]"
-        return [warning("SIM187", message, hint)]
+        return [stretch_warning(self.max_strain, self._longest_stiffness, prefix)]
 
 
 def as_errors(notices: Sequence[Fault]) -> list[Fault]:
