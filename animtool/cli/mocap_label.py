@@ -46,8 +46,10 @@ def label(
 
     def label_points(points: Any, trial: Any) -> tuple[Any, Any]:
         from animtool.capture.markers.label import label_points as run_label
+        from animtool.core.errors import faults_in
 
-        return run_label(points, trial)
+        with faults_in(cloud):
+            return run_label(points, trial, str(static))
 
     run_on_markers(
         console, "mocap label", (cloud, static), output, params, label_points, _TEMPLATE

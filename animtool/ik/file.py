@@ -126,16 +126,26 @@ class _TargetsReader:
             for fault in faults
             if fault.code == "TGT001" and (fault.where or "").endswith(".effector")
         ]
-        if self.rig is None:
+        if self.rig is None or not effector_faults:
             return
         chains = [chain.name for chain in self.rig.chains]
         known_names = [*chains, *self.rig.names]
         effectors = (goal.effector for goal in self.model.goals)
         unknown_names = [name for name in effectors if name not in known_names]
         are_similar = [bool(most_similar(name, known_names)) for name in unknown_names]
-        if not effector_faults or not belong_elsewhere(
+        is_only_goal = goal_count == 1
+        if not is_only_goal and not belong_elsewhere(
             are_similar, goal_count, MIN_UNKNOWN_EFFECTORS
         ):
+            return
+        if is_only_goal and chains:
+            # It may be a typing error, or a goal of another rig.
+            fault = effector_faults[0]
+            hint = (fault.hint or "").removesuffix("?")
+            hint += ", or are these the targets of another rig? the chains of "
+            hint += f"{self.rig.name!r} are {listed(list(map(repr, chains)), 8)}"
+            faults[faults.index(fault)] = replace(fault, hint=hint.lstrip(", "))
+        if is_only_goal:
             return
         names = list(dict.fromkeys(map(repr, unknown_names)))
         message = (

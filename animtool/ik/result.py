@@ -12,6 +12,8 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.clock import Clock
+from animtool.core.errors import Fault, warning
+from animtool.core.quantities import length_text
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
 from animtool.ik.goals import PARTS
@@ -22,7 +24,7 @@ from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 from animtool.rig.joints import coordinate_slices, local_from_coordinates
-from animtool.rig.kinematics import WorldTransforms, forward_kinematics
+from animtool.rig.kinematics import WorldTransforms, forward_kinematics, rest_size
 from animtool.rig.limits import BallLimit, RangeLimit
 
 # A coordinate within this distance of its limit is on it [rad] or [m]; must exceed the
@@ -56,6 +58,10 @@ class IkStatus(StrEnum):
     STALLED = "stopped early"
     BUDGET = "out of budget"
     NOT_FINITE = "numbers beyond range"
+
+
+# Goals that are missed by more than this are in another unit, or another place [size].
+MAX_GOAL_DISTANCE = 10.0
 
 
 @dataclass(frozen=True)
@@ -137,6 +143,22 @@ class IkResult:
         """
         return [(int(b), int(e)) for b, e in np.argwhere(~self.reached)]
 
+    @property
+    def notices(self) -> list[Fault]:
+        """Warning about goals so far away that their unit looks wrong (IK104)."""
+        rig = self.problem.rig
+        size = rest_size(rig)
+        distances = self.positions.max(axis=0, initial=0.0)
+        far_goals = np.flatnonzero(distances > MAX_GOAL_DISTANCE * size).tolist()
+        if not size or not far_goals:
+            return []
+        goal = max(far_goals, key=lambda i: float(distances[i]))
+        name = self.problem.goals[goal].joint
+        message = f"the goal of {name!r} is {length_text(float(distances[goal]))} out "
+        message += f"of reach, and {rig.name!r} measures {length_text(size)}"
+        hint = "positions are in metres: divide those in centimetres by 100"
+        return [warning("IK104", message, hint)]
+
     def local_translations(self) -> FloatArray:
         """Return the joints' local translations with stretch ``(B, J, 3)`` [m].
 
@@ -186,6 +208,9 @@ class IkResult:
         worst_position = float(self.positions.max(initial=0.0))
         missed_text = f"; goals missed: {len(self.missed)}" if self.missed else ""
         worst_text = f"worst position {worst_position:.3g} m"
+        if self.missed:
+            goal = int(self.positions.max(axis=0, initial=0.0).argmax())
+            worst_text += f" of {self.problem.goals[goal].joint!r}"
         return f"<IkResult: {status_text}{missed_text}; {worst_text}>"
 
 

@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import field, replace
 from functools import partial
 from itertools import pairwise
 from pathlib import Path
+from typing import TypeAlias
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, OptionError, Severity, counted, listed, warning
 from animtool.core.record import dataclass
+from animtool.documents.document import Location
 from animtool.retarget.anatomy import find_anatomy
 from animtool.retarget.file import MapFile, ResolvedMap, load_map, resolve_map
 from animtool.retarget.map import JointChain, JointMap, JointPair, TwistFraction
@@ -38,6 +40,9 @@ from animtool.retarget.transfer import equal_name_pairs
 from animtool.rig.kinematics import rest_world
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Rig
+
+# Code, joint of the target, message, hint.
+MapFaultFactory: TypeAlias = Callable[[str, int, str, str], Fault]
 
 # Roles that the last bone of a chain leads to, in order of preference.
 _NEXT_ROLES = {
@@ -99,6 +104,7 @@ def map_joints(
     check_presets(preset=preset, target_preset=target_preset)
     file_map: ResolvedMap | None = None
     order_warnings: tuple[Fault, ...] = ()
+    file: MapFile | None = None
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
         file_map = resolve_map(file, source, target)
@@ -136,6 +142,7 @@ def map_joints(
         raise OptionError(Fault("MAP004", message, hint=hint))
     used_joints = {pair.source for pair in pairs.values()}
     used_joints |= {j for chain in chains for j in chain.source}
+    fault_at = partial(_map_warning, file, file_map)
     driven_joints = {*pairs, *(twist.target for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
@@ -148,12 +155,16 @@ def map_joints(
             *anatomies[0].notices,
             *anatomies[1].notices,
             *order_warnings,
-            *_crossed_side_warnings(rigs, anatomies, pairs.values(), map_file),
+            *_crossed_side_warnings(rigs, anatomies, pairs.values(), fault_at),
             *(
                 _leg_count_warnings(rigs, anatomies)
-                or _crossed_limb_warnings(rigs, anatomies, pairs.values(), map_file)
+                or _crossed_limb_warnings(rigs, anatomies, pairs.values(), fault_at)
             ),
-            *_shifted_limb_warnings(rigs, anatomies, pairs, map_file),
+            *(
+                ()
+                if file is None
+                else _shifted_limb_warnings(rigs, anatomies, pairs, fault_at)
+            ),
         ),
     )
 
@@ -162,14 +173,16 @@ def _crossed_side_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
     pairs: Iterable[JointPair],
-    map_file: MapFile | Path | str | None,
+    fault_at: MapFaultFactory,
 ) -> list[Fault]:
     """Return a warning if left joints are paired with right joints (MAP108)."""
     crossed_pairs, crossed_sources, other_sources = [], set(), set()
+    crossed_targets = []
     for pair in pairs:
         source_roles = anatomies[0].roles[pair.source]
         target_roles = anatomies[1].roles[pair.target]
         if {source_roles[-2:], target_roles[-2:]} == {"_l", "_r"}:
+            crossed_targets.append(pair.target)
             names = rigs[0].names[pair.source], rigs[1].names[pair.target]
             crossed_pairs.append(f"{names[0]} to {names[1]}")
             crossed_sources.add(pair.source)
@@ -188,26 +201,38 @@ def _crossed_side_warnings(
             names = rigs[0].names[partner], rigs[0].names[joint]
             hint = f"write {names[0]} in place of {names[1]}, which another joint "
             hint += "follows too"
-    return [_map_warning("MAP108", message, hint, map_file)]
+    return [fault_at("MAP108", crossed_targets[0], message, hint)]
 
 
 def _map_warning(
-    code: str, message: str, hint: str, map_file: MapFile | Path | str | None
+    file: MapFile | None,
+    file_map: ResolvedMap | None,
+    code: str,
+    joint: int,
+    message: str,
+    hint: str,
 ) -> Fault:
-    path = map_file.document.path if isinstance(map_file, MapFile) else map_file
-    file_path = None if path is None else str(path)
-    return Fault(code, message, file_path, (), hint, Severity.WARNING)
+    """Return a warning at the entry of a map file that drives a joint of the target."""
+    if file is None or file_map is None:
+        return warning(code, message, hint)
+    location: Location = ()
+    for i, entry in enumerate(file_map.entries):
+        if joint in entry.target:
+            location = ("joints", i)
+            break
+    fault = file.document.fault(code, location, message, hint)
+    return replace(fault, severity=Severity.WARNING)
 
 
 def _crossed_limb_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
     pairs: Iterable[JointPair],
-    map_file: MapFile | Path | str | None,
+    fault_at: MapFaultFactory,
 ) -> list[Fault]:
     """Return a warning if joints of an arm are paired with those of a leg (MAP114)."""
     limb_of_role = dict.fromkeys(ARM_ROLES, "arm") | dict.fromkeys(LEG_ROLES, "leg")
-    crossed_pairs = []
+    crossed_pairs, crossed_targets = [], []
     for pair in pairs:
         limbs = [
             limb_of_role.get(base_role(anatomy.roles[joint]))
@@ -216,6 +241,7 @@ def _crossed_limb_warnings(
             )
         ]
         if {*limbs} == {"arm", "leg"}:
+            crossed_targets.append(pair.target)
             names = rigs[0].names[pair.source], rigs[1].names[pair.target]
             crossed_pairs.append(f"{names[0]} ({limbs[0]}) to {names[1]} ({limbs[1]})")
     if not crossed_pairs:
@@ -223,21 +249,19 @@ def _crossed_limb_warnings(
     message = f"{counted(len(crossed_pairs), 'joint')} of {rigs[1].name!r} follow the "
     message += f"other kind of limb: {listed(crossed_pairs, 4)}"
     hint = "pair arms with arms and legs with legs in the map"
-    return [_map_warning("MAP114", message, hint, map_file)]
+    return [fault_at("MAP114", crossed_targets[0], message, hint)]
 
 
 def _shifted_limb_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
     pairs: Mapping[int, JointPair],
-    map_file: MapFile | Path | str | None,
+    fault_at: MapFaultFactory,
 ) -> list[Fault]:
     """Return a warning if a joint of a limb follows one that is another's (MAP115).
 
     ``pairs`` are by joint of the target.
     """
-    if map_file is None:
-        return []
     joints_by_role = {role: j for j, role in enumerate(anatomies[1].roles) if role}
     shifts = []
     for pair in pairs.values():
@@ -268,7 +292,7 @@ def _shifted_limb_warnings(
     if other_names:
         message += f"; the same holds for {listed(other_names, 4)}"
     hint = f"map {source_name} to {upper_name}, and the joints below it likewise"
-    return [_map_warning("MAP115", message, hint, map_file)]
+    return [fault_at("MAP115", pair.target, message, hint)]
 
 
 def _leg_count_warnings(

@@ -400,7 +400,7 @@ def with_source_warnings(
                 known_codes = {notice.code for notice in stream.notices}
                 for problem in (
                     root_warning(stream.rig, block, float(1 / rate)),
-                    swapped_legs_warning(stream.rig, block),
+                    swapped_legs_warning(stream.rig, block, str(file_format)),
                 ):
                     if problem is not None and problem.code not in known_codes:
                         add_notices([problem.in_file(path)])

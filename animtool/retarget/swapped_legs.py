@@ -97,10 +97,12 @@ def find_swapped_legs(
     )
 
 
-def swapped_legs_warning(rig: Rig, motion: Motion) -> Fault | None:
+def swapped_legs_warning(
+    rig: Rig, motion: Motion, file_format: str = ""
+) -> Fault | None:
     """Return a warning if the legs of a block of frames have swapped names (MOT210).
 
-    Long blocks are sampled.
+    Long blocks are sampled. A BVH may state another order of its angles.
     """
     if motion.frames < MIN_FRAMES or not is_character(rig.names):
         return None
@@ -114,7 +116,11 @@ def swapped_legs_warning(rig: Rig, motion: Motion) -> Fault | None:
         f"{legs.left_name!r} is on the right of the body, and {legs.right_name!r} on "
         "the left, by the direction of the feet"
     )
-    return warning("MOT210", message, SWAPPED_LEGS_HINT)
+    hint = SWAPPED_LEGS_HINT
+    if file_format == "BVH":
+        hint += "; if limbs bend the wrong way too, correct the order of the rotations "
+        hint += "in CHANNELS: it may not be that of the data"
+    return warning("MOT210", message, hint)
 
 
 def _facing_direction(

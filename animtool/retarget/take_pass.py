@@ -411,13 +411,13 @@ def _other_rest_warnings(transfer: Transfer, joint_map: JointMap) -> list[Fault]
 
 def _source_warnings(stream: TakeStream, first_block: Motion) -> list[Fault]:
     """Return warnings about the root, the legs and the rate of a take."""
-    rate = stream.fps / stream.step
+    rate, file_format = stream.fps / stream.step, stream.details.get("format")
     notices = (
         root_warning(stream.rig, first_block, float(1 / rate)),
-        swapped_legs_warning(stream.rig, first_block),
+        swapped_legs_warning(stream.rig, first_block, str(file_format)),
     )
     fast_motion = []
-    if stream.details.get("format") in CAPTURE_FORMATS:
+    if file_format in CAPTURE_FORMATS:
         fast_motion = fast_motion_warning(stream.rig, first_block, rate, "source.fps")
     return [*filter(None, notices), *fast_motion]
 

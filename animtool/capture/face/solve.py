@@ -205,7 +205,24 @@ def _check_landmarks(
         message = f"the captured face is {plain_number(ratio)} times the size of the "
         message += "rig's"
         hint = f"set the unit of the landmarks with {argument('source.unit')}"
+        for factor, (unit, unit_as_read) in UNITS_BY_FACTOR.items():
+            if 1 / MAX_SIZE_RATIO < ratio / factor < MAX_SIZE_RATIO:
+                message += f", as with {unit} that are read as {unit_as_read}"
+                hint = f"set {argument('source.unit', unit)}, or write it in the name "
+                hint += f"of the array: landmarks_{unit}"
+                break
         raise OptionError(Fault("FAC006", message, hint=hint))
+
+
+# Units by how many times too large they are if read as another.
+UNITS_BY_FACTOR = {
+    10.0: ("mm", "cm"),
+    100.0: ("cm", "m"),
+    1000.0: ("mm", "m"),
+    0.1: ("cm", "mm"),
+    0.01: ("m", "cm"),
+    0.001: ("m", "mm"),
+}
 
 
 class _FaceSolver:

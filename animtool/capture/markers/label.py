@@ -214,7 +214,9 @@ class LabelReport:
         return self.labelled / max(1, self.points)
 
 
-def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]:
+def label_points(
+    cloud: Markers, static: Markers, static_name: str = "the static trial"
+) -> tuple[Markers, LabelReport]:
     """Label a point cloud with the marker names of a static trial.
 
     Points are joined to runs by their motion. Runs that keep their distance are on one
@@ -225,14 +227,17 @@ def label_points(cloud: Markers, static: Markers) -> tuple[Markers, LabelReport]
     Args:
         cloud: Points in any order, which may change from frame to frame.
         static: The subject's labelled static trial; its frames are averaged.
+        static_name: Name of the trial in messages.
     """
     names, rest_shape = _static_template(static)
     rate = float(cloud.clock.rate)
     tracklets = track_points(cloud.positions, rate)
     marker_of_first_run = _name_first_runs(cloud, tracklets, rest_shape)
     if marker_of_first_run is None:
-        message = "no group of points moves like a segment of the static trial"
-        hint = "does it show the same subject, with the same markers and unit?"
+        message = f"no group of points moves like a segment of {static_name}"
+        hint = (
+            f"does {static_name} show the same subject, with the same markers and unit?"
+        )
         raise OptionError(Fault("MKR021", message, hint=hint))
     rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
     labels = TrackletLabels(

@@ -347,24 +347,28 @@ def _shape_radius(shape: Mapping[str, Any]) -> float:
 
 
 def _warn_of_z_up(document: Document, location: Location, spec: Any) -> None:
-    """Warn of a crowd whose positions vary in y but not in z (SIM200)."""
+    """Warn of a crowd whose positions, or goals, vary in y but not in z (SIM200)."""
     ground = spec.ground
     if ground.shape is not None or ground.mesh is not None or ground.prim is not None:
         return
-    entries = [
-        ((*location, key, i, "at"), entry.at)
-        for key in ("populations", "goals")
-        for i, entry in enumerate(getattr(spec, key))
-        if not getattr(entry, "points", None) and not getattr(entry, "prim", None)
-    ]
-    heights = [y - ground.at[1] for _, (_, y, _) in entries]
-    largest = max(heights, key=abs, default=0.0)
-    if any(z for _, (_, _, z) in entries) or abs(largest) <= MAX_HEIGHT:
+    for keys in (("populations", "goals"), ("goals",)):
+        entries = [
+            ((*location, key, i, "at"), entry.at)
+            for key in keys
+            for i, entry in enumerate(getattr(spec, key))
+            if not getattr(entry, "points", None) and not getattr(entry, "prim", None)
+        ]
+        heights = [y - ground.at[1] for _, (_, y, _) in entries]
+        largest = max(heights, key=abs, default=0.0)
+        if abs(largest) > MAX_HEIGHT and not any(z for _, (_, _, z) in entries):
+            break
+    else:
         return
     key_location, (x, y, z) = entries[heights.index(largest)]
     side = "above" if largest > 0 else "below"
     message = f"[{x:g}, {y:g}, {z:g}] is {length_text(abs(largest))} {side} the ground"
-    message += ", which agents walk on: heights are ignored, and all z are 0"
+    message += ", which agents walk on: heights are ignored, and all z "
+    message += "of goals are 0" if len(keys) == 1 else "are 0"
     hint = "systems have Y up: write positions and sizes [x, y, z] as [x, z, -y], "
     hint += f"here [{x:g}, {z:g}, {-y:g}]"
     document.warn("SIM200", key_location, message, hint)

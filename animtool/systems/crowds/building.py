@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, counted, listed, refuse, warning
+from animtool.core.errors import Fault, counted, refuse, warning
 from animtool.core.quantities import length_text
 from animtool.maths.faces import triangulate
 from animtool.sim.colliders import Mesh
@@ -19,7 +19,7 @@ from animtool.systems.crowds.agents import (
     separate_agents,
 )
 from animtool.systems.crowds.crowd import Crowd
-from animtool.systems.crowds.ground import GroundFrame, Terrain, sample_ground
+from animtool.systems.crowds.ground import GroundFrame, Terrain
 from animtool.systems.crowds.obstacles import (
     Obstacles,
     is_blocked,
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 
 # Most passes that move agents out of obstacles at the start.
 MAX_CLEARING_PASSES = 20
-# Goals on a floor above the ground are lower; agents only walk on the ground [m].
-MAX_GOAL_HEIGHT = 5.0
 
 
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
@@ -52,7 +50,7 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     steering, obstacles = _build_steering(spec, agents, frame, ground, context)
     start_points, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
     notices += moved_warnings
-    notices += _raised_goal_warnings(spec, frame, ground) or unreachable_goal_warnings(
+    notices += unreachable_goal_warnings(
         spec, agents, steering, obstacles, start_points, begin
     )
     prototypes = [data.get("shows") for data in population_data]
@@ -215,31 +213,6 @@ def _nearest_reachable(
         node_indices = grid.nearest_free_node(position)
     points = grid.node_positions(node_indices)
     return np.asarray(points[int(((points - position) ** 2).sum(axis=1).argmin())])
-
-
-def _raised_goal_warnings(
-    spec: CrowdsModel, frame: GroundFrame, ground: Terrain
-) -> list[Fault]:
-    """Return a warning about goals whose height seems to be a depth (SIM146).
-
-    In coordinates with Z up, the ground is at 0 of the third one.
-    """
-    points = np.array([goal.at for goal in spec.goals], float).reshape(-1, 3)
-    local_points = frame.to_local(points)
-    heights = local_points[:, 1] - sample_ground(ground, local_points[:, [0, 2]])[0]
-    is_raised = (np.abs(heights) > MAX_GOAL_HEIGHT) & (points[:, 2] == 0)
-    if not is_raised.any():
-        return []
-    i = int(is_raised.argmax())
-    names = [repr(spec.goals[k].name) for k in np.flatnonzero(is_raised).tolist()]
-    x, y = points[i, :2].tolist()
-    message = f"the goal {names[0]} is {length_text(abs(heights[i]))} "
-    message += f"{'above' if heights[i] > 0 else 'below'} the ground on which agents "
-    message += "walk"
-    if len(names) > 1:
-        message += f"; the same holds for {listed(names[1:], 4)}"
-    hint = f"Y is up: for [{x:g}, {y:g}, 0] with Z up write [{x:g}, 0, {0.0 - y:g}]"
-    return [warning("SIM146", message, hint, f"goals[{i}].at")]
 
 
 def unreachable_goal_warnings(

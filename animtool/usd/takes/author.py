@@ -15,6 +15,7 @@ from animtool.core.clock import FrameSpan
 from animtool.core.errors import Fault, OptionError
 from animtool.core.files.output import STDOUT, atomic_outputs, check_outputs
 from animtool.core.loaded import check_loaded
+from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.maths.curves import Curves
@@ -381,6 +382,8 @@ def write(
     write_usd(job, layers, result)
     result.notices += notices
     result.notices += order_warning(take.rig, take.motion, str(path), MOTION_ORDER_HINT)
+    if all(notice.code != "TAKE009" for notice in take.notices):
+        result.notices += rate_warning(take.clock.rate)
     return result
 
 
