@@ -34,6 +34,7 @@ from animtool.formats import FLOAT32_MAX
 from animtool.motion.marker_size import (
     is_person_size,
     is_plausible_size,
+    rescaled_text,
     subject_size,
 )
 
@@ -223,6 +224,8 @@ class CaptureFile:
                 message += f"{unit} it would be {length_text(fitting_size)}"
                 hint = f"set {argument('source.unit', unit)}"
                 break
+        else:
+            message += rescaled_text(size)
         self.warn("MKR117", message, hint)
 
 

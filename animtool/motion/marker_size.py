@@ -5,11 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.quantities import length_text
 
 # Sizes of captured subjects, from a hand to a group of people [m].
 MIN_SUBJECT_SIZE, MAX_SUBJECT_SIZE = 0.05, 60.0
 # Size of a child, and of a person with raised arms [m].
 PERSON_SIZE = (0.5, 3.0)
+# Ratios of units: m, cm, mm and in.
+_RATIOS = (10.0, 100.0, 1000.0, 39.37)
+UNIT_FACTORS = (*_RATIOS, *(1 / factor for factor in _RATIOS))
 # Frames sampled, and markers that a frame needs.
 SAMPLED_FRAME_COUNT, MIN_MARKERS = 100, 4
 
@@ -40,3 +44,16 @@ def is_person_size(size: float) -> bool:
     (True, False)
     """
     return PERSON_SIZE[0] <= size <= PERSON_SIZE[1]
+
+
+def rescaled_text(size: float) -> str:
+    """Return text on the factor that gives a size [m] of a person; empty if none.
+
+    >>> rescaled_text(0.0018), rescaled_text(1e9)
+    ('; 1000 times that would be 1.8 m', '')
+    """
+    for factor in UNIT_FACTORS:
+        if is_person_size(size * factor):
+            times_text = f"{factor:g} times" if factor > 1 else f"1/{1 / factor:g} of"
+            return f"; {times_text} that would be {length_text(size * factor)}"
+    return ""

@@ -11,7 +11,7 @@ from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
-from animtool.core.rates import rate_label
+from animtool.core.rates import is_common_rate, rate_label
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 from animtool.retarget.root_position import find_hips, upright_leg_length
@@ -76,7 +76,8 @@ def fast_motion_warning(
         slower_acceleration = acceleration / factor**2
         if rate / factor < MIN_CAPTURE_RATE:
             break
-        if slower_acceleration <= LIKELY_ACCELERATION:
+        is_likely = slower_acceleration <= LIKELY_ACCELERATION
+        if is_likely and is_common_rate(rate / factor):
             slower_rate = rate / factor
             hint += f" at {rate_label(slower_rate)}, 1/{factor} of the rate, it would "
             hint += f"be {slower_acceleration:.2g} g"

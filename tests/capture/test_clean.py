@@ -257,3 +257,19 @@ def test_a_cutoff_filters_a_take_without_noise() -> None:
     assert "CAP106" in [notice.code for notice in filtered.notices]
     change = so3.angle_between(filtered.motion.rotations.dense(), dense)
     assert change.max() > 0.2
+
+
+@pytest.mark.parametrize(
+    ("cutoff", "found"), [(0.25, True), (3.0, False), (6.0, False)]
+)
+def test_cutoffs_that_move_joints_far_are_warned_of(
+    root: Path, cutoff: float, found: bool
+) -> None:
+    take = read_bvh(root / "samples/retarget/takes/turn.bvh").collect()
+    notices = [n for n in clean(take, cutoff=cutoff).notices if n.code == "CAP106"]
+    assert len(notices) == found
+    for notice in notices:
+        assert "'LeftToeBase' by 456 mm" in notice.message
+        assert "0.25 of the highest frequency, 15 Hz, would be 3.75 Hz" in str(
+            notice.hint
+        )

@@ -48,6 +48,8 @@ def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
         (["bake", "a.bvh", "--ovrwrite"], "--overwrite"),
         (["bake", "a.bvh", "--fps", "fast"], "24000/1001"),
         (["bake", "a.bvh", "--range", "9-1"], "is reversed"),
+        (["bake", "a.bvh", "-s", "1", "-e", "12"], "did you mean '--range', such as"),
+        (["validate", "a.clip.yaml", "--rig", "a.rig.yaml"], "the rig that it names"),
         (["bake", "a.bvh", "--samples", "0,1.5"], "not between -1 and 1"),
         (["bake", "a.bvh", "--rest", "bind"], "frame:N"),
         (

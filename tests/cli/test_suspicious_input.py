@@ -170,13 +170,16 @@ def test_markers_that_never_move(tmp_path: Path) -> None:
 
 def test_markers_in_another_unit(tmp_path: Path) -> None:
     markers = captured(moving(60, 100, 3)).markers
-    for scale, text in ((1e-3, "1000 times that"), (1e3, "1/1000 of that")):
+    for scale, text, hint in (
+        (1e-3, "1000 times that", "set the unit of the file with --units"),
+        (1e3, "in mm it would be 1", "set --units mm"),
+    ):
         scaled = replace(markers, positions=scale * markers.positions)
         write_marker_arrays(scaled, tmp_path / "take.npz")
         done = animtool("mocap", "fill", "take.npz", "-o", "b.npz", cwd=tmp_path)
         (line,) = [line for line in done.stderr.splitlines() if "MKR117" in line]
         assert text in line
-        assert line.endswith("set the unit of the file with --units")
+        assert line.endswith(hint)
         for name in ("take.npz", "b.npz"):
             (tmp_path / name).unlink()
     clouds = [
@@ -213,7 +216,7 @@ def test_a_map_that_crosses_sides(tmp_path: Path) -> None:
     path.write_text(f"map: animtool/1\nothers: auto\njoints:\n{entries}", "utf-8")
     lines = warnings("retarget", WALK, "--to", CHILD, "--map", path)
     (line,) = [line for line in lines if "MAP108" in line]
-    assert line.startswith(f"{path}: warning: MAP108 2 joints of ")
+    assert line.startswith(f"{path}:4:3: warning: MAP108 joints[1]: 2 joints of ")
     assert "LeftHand to wrist_r, RightHand to wrist_l" in line
 
 

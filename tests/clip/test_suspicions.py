@@ -222,6 +222,9 @@ def test_keys_outside_the_range_warn_once_when_a_clip_is_read(tmp_path: Path) ->
     assert said(tmp_path, head, outside, foot) == ["CLIP201"]
     cycle = outside.replace("keys:", "post: cycle, keys:")
     assert said(tmp_path, head, cycle) == []
+    late = knee([1001, 1012, 1024]).replace("keys:", "pre: cycle_offset, keys:")
+    assert said(tmp_path, head, late) == ["CLIP201"]
+    assert said(tmp_path, head.replace("24]", "1024]"), late) == []
 
 
 @pytest.mark.parametrize(

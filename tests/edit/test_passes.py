@@ -355,3 +355,13 @@ def test_a_range_that_goes_past_the_end_is_noted(last: int, codes: list[str]) ->
     found = trim(take, last=end + last - 9)
     assert found.motion.frames == 9
     assert [notice.code for notice in found.notices] == codes
+
+
+@pytest.mark.parametrize(("first", "codes"), [(0, []), (-1, ["SCN013"])])
+def test_a_range_that_begins_before_the_take_is_noted(
+    first: int, codes: list[str]
+) -> None:
+    take = small(9)
+    found = trim(take, first=float(take.clock.start) + first)
+    assert found.motion.frames == 9
+    assert [notice.code for notice in found.notices] == codes

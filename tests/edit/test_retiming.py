@@ -191,6 +191,8 @@ def test_a_speed_in_percent(speed: float, found: bool, tmp_path: Path) -> None:
     TIME_SCALE.run(numbered(240), options, context)
     codes = [notice.code for notice in context.notices]
     assert codes.count("SCN117") == found
+    take_codes = [notice.code for notice in time_scale(numbered(240), speed).notices]
+    assert take_codes.count("SCN117") == found
 
 
 def test_a_range_in_seconds_that_leaves_one_frame_is_said() -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from animtool.core.clock import Clock
 from animtool.core.errors import FormatError, OptionError
-from animtool.core.units import UpAxis
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.formats.marker_arrays import read_markers, write_marker_arrays
 from animtool.motion.markers import Markers
 
@@ -145,3 +145,36 @@ def test_arrays_that_do_not_match_name_the_file(tmp_path: Path) -> None:
         read_markers(save(tmp_path / "a.npz", **arrays))
     (fault,) = caught.value.faults
     assert (fault.code, fault.path) == ("MKR001", str(tmp_path / "a.npz"))
+
+
+@pytest.mark.parametrize(
+    ("scale", "unit", "severities"),
+    [
+        (1.0, None, []),
+        (1e-3, None, [("MKR117", "warning")]),
+        (1e-3, LengthUnit.M, []),
+        (1.0, LengthUnit.CM, [("MKR118", "warning")]),
+        (0.1, LengthUnit.M, [("MKR118", "note")]),
+    ],
+)
+def test_units_that_do_not_fit_a_person(
+    tmp_path: Path,
+    scale: float,
+    unit: LengthUnit | None,
+    severities: list[tuple[str, str]],
+) -> None:
+    rng = np.random.default_rng(5)
+    body = rng.uniform(-1, 1, size=(1, 9, 3)) * [250.0, 900.0, 150.0]
+    path = save(
+        tmp_path / "a.npz",
+        fs=120,
+        marker_names=np.array([f"M{i}" for i in range(9)]),
+        markers_mm=scale * np.repeat(body, 20, axis=0),
+    )
+    notices = [
+        notice
+        for notice in read_markers(path, unit=unit).notices
+        if notice.code in {"MKR117", "MKR118"}
+    ]
+    assert [(one.code, str(one.severity)) for one in notices] == severities
+    assert all(one.code != "MKR117" or "'markers_mm'" in one.message for one in notices)

@@ -61,3 +61,17 @@ def test_poses_are_no_take_at_a_rate_that_is_none() -> None:
     with pytest.raises(OptionError) as caught:
         result.take(fps=0)
     assert caught.value.code == "SCN022"
+
+
+@pytest.mark.parametrize(("scale", "codes"), [(1.0, []), (100.0, ["IK104"])])
+def test_goals_in_centimetres(scale: float, codes: list[str]) -> None:
+    joints = (
+        Joint("arm", -1, JointType.BALL),
+        Joint("hand", 0, JointType.FIXED, (0.6, 0.0, 0.0)),
+    )
+    problem = build(Rig("puppet", joints), [Goal("hand")])
+    points = [[[0.3 * scale, 1.2 * scale, 0.4 * scale]]]
+    result = solve(problem, None, Targets(positions=points))
+    assert [notice.code for notice in result.notices] == codes
+    assert all("'hand' is 129 m out of reach" in n.message for n in result.notices)
+    assert "of 'hand'" in repr(result)

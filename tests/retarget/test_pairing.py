@@ -559,3 +559,50 @@ def test_the_order_of_a_map_is_checked_in_time_that_grows_with_it(
     assert counts[0] > 0
     assert counts[1] <= 2.1 * counts[0]
     assert counts[2] <= 2.1 * counts[1]
+
+
+SHIFTED = {"LeftUpLeg": "shin_l", "LeftLeg": "foot_l", "LeftFoot": "toe_l"}
+
+
+@pytest.mark.parametrize(
+    ("joints", "others", "found"),
+    [
+        (SHIFTED, "auto", 1),
+        (SHIFTED, "none", 1),
+        ({"LeftArm": "forearm_l", "LeftForeArm": "hand_l"}, "none", 1),
+        ({"LeftUpLeg": "thigh_l", "LeftLeg": "shin_l"}, "auto", 0),
+        ({"LeftUpLeg": "thigh_l"}, "none", 0),
+    ],
+)
+def test_limbs_that_are_shifted_by_a_joint_are_named(
+    tmp_path: Path, joints: dict[str, str], others: str, found: int
+) -> None:
+    rigs = person(named("mixamo"))[0], person()[0]
+    entries = "".join(
+        f"- {{source: {one}, target: {two}}}\n" for one, two in joints.items()
+    )
+    text = f"map: animtool/1\njoints:\n{entries}others: {others}\n"
+    notices = map_joints(*rigs, map_file=written(tmp_path, text)).notices
+    shifts = [notice for notice in notices if notice.code == "MAP115"]
+    assert [(one.lines, one.where) for one in shifts] == [((3,), "joints[0]")] * found
+    upper = "thigh_l" if "LeftUpLeg" in joints else "upper_arm_l"
+    assert all(f"to {upper}," in str(one.hint) for one in shifts)
+
+
+def test_crossed_sides_have_the_line_of_their_entry(tmp_path: Path) -> None:
+    rigs = person(named("mixamo"))[0], person()[0]
+    text = "map: animtool/1\njoints:\n- {source: Hips, target: hips}\n"
+    text += "- {source: LeftArm, target: upper_arm_r}\n"
+    notices = map_joints(*rigs, map_file=written(tmp_path, text)).notices
+    (fault,) = (notice for notice in notices if notice.code == "MAP108")
+    assert (fault.lines, fault.where) == ((4,), "joints[1]")
+
+
+def test_unmapped_joints_of_limbs_come_first(tmp_path: Path) -> None:
+    rigs = person(named("mixamo"))[0], person()[0]
+    text = "map: animtool/1\njoints:\n- {source: Hips, target: hips}\n"
+    unmapped = map_joints(*rigs, map_file=written(tmp_path, text)).unmapped_target
+    names = names_of(rigs[1], unmapped)
+    assert max(names.index(name) for name in ("thigh_l", "hand_r")) < min(
+        i for i, name in enumerate(names) if name.startswith(("index", "spine", "head"))
+    )

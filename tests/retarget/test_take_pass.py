@@ -255,3 +255,25 @@ def test_options_of_pairing_without_effect_beside_a_map_are_named(
     for notice in found:
         assert notice.lines == ((2,) if others else ())
         assert all(f'{name}="{options[name]}"' in notice.message for name in options)
+
+
+@pytest.mark.parametrize(("angle", "codes"), [(0.8, ["MAP110"]), (0.2, [])])
+def test_a_rest_pose_that_is_not_that_of_the_rig(
+    root: Path, angle: float, codes: list[str]
+) -> None:
+    """Arms that hang in the offsets, as in an A-pose."""
+    walk = open_source(root / "samples/walk/walk.bvh").collect()
+    joints = []
+    for joint in walk.rig.joints:
+        translation = np.array(joint.translation)
+        if joint.name in {"LeftForeArm", "LeftHand", "RightForeArm", "RightHand"}:
+            sign = -1.0 if joint.name.startswith("Left") else 1.0
+            translation = so3.rotate(so3.exp([0.0, 0.0, sign * angle]), translation)
+        joints.append(replace(joint, translation=tuple(translation.tolist())))
+    rig = replace(walk.rig, joints=tuple(joints))
+    stream = TakeStream.of(replace(walk, rig=rig))
+    for rest, expected in (("rig", codes), (None, [])):
+        options = RetargetOptions(rest=rest)  # type: ignore[arg-type]
+        notices = retarget_stream(stream, walk.rig, options)[2]
+        assert [n.code for n in notices if n.code == "MAP110"] == expected
+        stream = TakeStream.of(replace(walk, rig=rig))

@@ -7,15 +7,12 @@ from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.core.rates import rate_warning
 from animtool.motion.marker_size import (
-    is_person_size,
     is_plausible_size,
+    rescaled_text,
     subject_size,
 )
 from animtool.motion.markers import Markers
 
-# Ratios of units: m, cm, mm and in.
-_RATIOS = (10.0, 100.0, 1000.0, 39.37)
-UNIT_FACTORS = (*_RATIOS, *(1 / factor for factor in _RATIOS))
 # Warnings of readers about the unit of a file.
 UNIT_CODES = frozenset({"MKR117", "MKR118"})
 
@@ -30,11 +27,6 @@ def plausibility_warnings(markers: Markers) -> list[Fault]:
     size = subject_size(markers.positions[:, named_points])
     if size is None or is_plausible_size(size):
         return notices
-    message = f"the markers of a frame span {length_text(size)}"
-    plausible_factors = [f for f in UNIT_FACTORS if is_person_size(size * f)]
-    if plausible_factors:
-        factor = plausible_factors[0]
-        factor_text = f"{factor:g} times" if factor > 1 else f"1/{1 / factor:g} of"
-        message += f"; {factor_text} that would be {length_text(size * factor)}"
+    message = f"the markers of a frame span {length_text(size)}{rescaled_text(size)}"
     hint = f"set the unit of the file with {argument('source.unit')}"
     return [*notices, warning("MKR117", message, hint)]

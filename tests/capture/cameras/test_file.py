@@ -355,3 +355,11 @@ def test_a_stadium_and_a_pair_of_lenses_are_plausible(tmp_path: Path) -> None:
                    for c in STAGE.cameras]  # fmt: skip
         text = cameras_text(Cameras(tuple(cameras)))
         assert not spread_warnings(written(tmp_path / "a.cameras.yaml", text))
+
+
+def test_an_option_that_contradicts_the_unit_of_a_calibration(tmp_path: Path) -> None:
+    entries = [{"K": matrix(c), "R": c.rotation.tolist(), "t": c.translation.tolist()}
+               for c in STAGE.cameras]  # fmt: skip
+    text = json.dumps({"units": "m", "cameras": entries})
+    (warning,) = spread_warnings(written(tmp_path / "a.json", text), LengthUnit.MM)
+    assert warning.endswith("the file states m")

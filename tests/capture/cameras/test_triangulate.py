@@ -458,3 +458,14 @@ def test_pixels_in_another_convention_are_named(is_swapped: bool) -> None:
     (fault,) = caught.value.faults
     assert fault.code == "CAM014"
     assert ("[v, u]" in fault.message) is is_swapped
+
+
+@pytest.mark.parametrize("factor", [2.0, 0.5, 4.0])
+def test_pixels_of_another_image_size_are_named(factor: float) -> None:
+    cameras = ring(5)
+    seen = observed(cameras, POINTS)
+    with pytest.raises(AnimtoolError) as caught:
+        triangulate(replace(seen, stored=seen.stored / factor), cameras)
+    (fault,) = caught.value.faults
+    assert fault.code == "CAM014"
+    assert f"if pixels are {factor:g} times as large" in fault.message

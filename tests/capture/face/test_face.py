@@ -138,6 +138,8 @@ def test_landmarks_that_do_not_fit() -> None:
     ):
         with raises(OptionError, code):
             fit_face(model, wrong, 60)
+    with raises(OptionError, "FAC006", match="as with mm that are read as cm"):
+        fit_face(model, seen * 10.3, 60)
     still = replace(model, deltas=model.deltas * 0)
     with raises(OptionError, "FAC007"):
         fit_face(still, seen, 60)

@@ -344,3 +344,13 @@ def test_decimal_commas_are_one_fault(write: Write) -> None:
     (fault,) = caught.value.faults
     assert (fault.code, fault.lines) == ("LLF004", (2,))
     assert fault.hint is not None
+
+
+@pytest.mark.parametrize(
+    ("yaw", "found"), [(3.1, False), (-3.14159, False), (13.98, True)]
+)
+def test_angles_in_degrees(write: Write, yaw: float, found: bool) -> None:
+    content = rows(1, 2, 3).replace(",0.1,", f",{yaw},")
+    notices = read_livelink(write(content)).notices
+    degrees = [notice for notice in notices if notice.code == "LLF112"]
+    assert [notice.lines for notice in degrees] == [(2,)] * found

@@ -167,6 +167,9 @@ CROWD = """\
         ("people", "people", True),
         ("[0, 15, 0]", "[0, 0, 15]", False),
         ("goals", "ground: {at: [0, -10, 0]}\n    goals", True),
+        ("[0, -10, 0]", "[0, 0, 9]", True),
+        ("[0, 15, 0]", "[0, 1.5, 0]", True),
+        ("[0, 15, 0]", "[0, 15, 3]", False),
     ],
 )
 def test_a_crowd_with_z_up(tmp_path: Path, old: str, new: str, found: bool) -> None:

@@ -235,3 +235,10 @@ def test_who_is_born_into_what_is_no_number_is_told_at_once() -> None:
     own = simulation(Emitter(rate=4.0), forces=[field])
     with np.errstate(all="ignore"), raises(OptionError, "SIM003"):
         own.step(own.initial_state(), 0.0, 0.25)
+
+
+def test_a_burst_with_exchanged_columns() -> None:
+    own = simulation(Emitter(bursts=[(4.0, 0)]))
+    (notice,) = own.diagnostics(own.initial_state(), 9.0).notices_if_empty
+    assert (notice.code, notice.where) == ("SIM188", "emitters[0].bursts[0]")
+    assert "write [0, 4]" in str(notice.hint)

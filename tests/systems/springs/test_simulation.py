@@ -796,3 +796,16 @@ def test_cloth_has_a_spring_a_cell_or_two_that_cross(
     assert (int((~longer).sum()), int(longer.sum())) == (17, across)
     np.testing.assert_allclose(springs.rest[longer], np.sqrt(2))
     np.testing.assert_allclose(springs.stiffness[longer], 90)
+
+
+@pytest.mark.parametrize(("stiffness", "found"), [(33, True), (3000, False)])
+def test_ropes_that_stretch_while_they_settle(
+    tmp_path: Path, stiffness: int, found: bool
+) -> None:
+    text = ROPE.replace("[1, 2, 0]", "[0, 1, 0]") + "    settle: true\n"
+    text += "    tip_mass: 1\n"
+    text = text.replace("stiffness: 1000", f"stiffness: {stiffness}")
+    report = bake(written(tmp_path, text), tmp_path / "a.usda")
+    faults = [notice for notice in report.notices if notice.code == "SIM187"]
+    assert len(faults) == found
+    assert all("each of 33 N/m carries" in fault.message for fault in faults)
