@@ -216,7 +216,7 @@ def test_a_map_that_crosses_sides(tmp_path: Path) -> None:
     path.write_text(f"map: animtool/1\nothers: auto\njoints:\n{entries}", "utf-8")
     lines = warnings("retarget", WALK, "--to", CHILD, "--map", path)
     (line,) = [line for line in lines if "MAP108" in line]
-    assert line.startswith(f"{path}:4:3: warning: MAP108 joints[1]: 2 joints of ")
+    assert line.startswith(f"{path}:4:3: warning: MAP108 joints[0]: 2 joints of ")
     assert "LeftHand to wrist_r, RightHand to wrist_l" in line
 
 

@@ -33,6 +33,10 @@ def test_legs_that_are_swapped(swapped: Path) -> None:
         take = open_source(path).collect()
         found = swapped_legs_warning(take.rig, take.motion)
         assert (None if found is None else found.code) == code
+        in_bvh = swapped_legs_warning(take.rig, take.motion, "BVH")
+        for file_format, fault in (("", found), ("BVH", in_bvh)):
+            hint = "" if fault is None else str(fault.hint)
+            assert ("CHANNELS" in hint) == (code is not None and file_format == "BVH")
         # A pose may be anything.
         pose = take.motion.select(slice(0, 1))
         assert swapped_legs_warning(take.rig, pose) is None

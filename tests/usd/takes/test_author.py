@@ -19,7 +19,8 @@ from animtool.core.shot import FrameRange
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.sources.open import SourceOptions
+from animtool.scene.sources.open import SourceOptions, open_source
+from animtool.usd import write
 
 
 @pytest.fixture
@@ -423,3 +424,15 @@ def test_rest_between_frames_of_the_source(
     rest = np.array(query.ComputeJointLocalTransforms(Usd.TimeCode(2), True))
     posed = np.array(query.ComputeJointLocalTransforms(Usd.TimeCode(2), False))
     assert_allclose(rest, posed, atol=1e-6)
+
+
+@pytest.mark.parametrize(("fps", "found"), [("1/24", True), ("24", False)])
+def test_a_clock_of_frame_times(
+    take: Path, tmp_path: Path, fps: str, found: bool
+) -> None:
+    own = open_source(take).collect()
+    timed = replace(own, clock=replace(own.clock, fps=Fraction(fps)))
+    notices = write(timed, tmp_path / "o.usda").notices
+    rates = [notice for notice in notices if notice.code == "TAKE009"]
+    assert len(rates) == found
+    assert all("write 24" in str(notice.hint) for notice in rates)
