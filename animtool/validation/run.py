@@ -83,6 +83,7 @@ MIN_FILES_PER_PROCESS = 40
 FILES_PER_CHUNK = 10
 # Findings that another finding in the same file explains, by the codes that do.
 CAUSES_BY_CODE = {
+    "MKR117": {"MKR204"},
     "MOT209": {"CLIP122", "CLIP123"},
     "MOT213": {"USD126"},
     "RIG204": {"RIG115"},

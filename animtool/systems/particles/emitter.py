@@ -215,4 +215,10 @@ class Emitter(Emission, CheckedRecord):
                 message = f"burst {i} must be at a finite time, of 0 particles or more"
                 message += f" and {MAX_BURST:g} at most"
                 problems.append(("bursts", message))
+            elif count != int(count):
+                message = f"burst {i} has {count:g} particles, not a whole number; "
+                message += "rows are [seconds, number]"
+                if burst_time == int(burst_time):
+                    message += f": write [{count:g}, {burst_time:g}]"
+                problems.append(("bursts", message))
         return problems

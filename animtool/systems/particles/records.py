@@ -20,7 +20,7 @@ _FINITE_RANGE = Range("finite", "SIM021", -math.inf, finite=True)
 
 def _read_bursts(rows: Sequence[Sequence[float]]) -> list[tuple[float, int]]:
     """Return bursts from rows of a file."""
-    return [(t, int(count)) for t, count in rows]
+    return [(t, int(n) if float(n).is_integer() else n) for t, n in rows]  # type: ignore[misc]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -283,6 +283,7 @@ def codes(setup: Particles) -> list[str]:
         {"start": 2.0, "end": 1.0},
         {"direction": (0, 0, 0)},
         {"bursts": [(np.nan, 1)]},
+        {"bursts": [(50.0, 0.5)]},
         {"place": Disc(-1)},
         {"radius": 0.01, "radius_spread": 0.02},
         {"mass": 1e-320},
