@@ -261,6 +261,8 @@ class Rig:
         1
         """
         if name not in self._index:
+            if not isinstance(name, str):
+                raise TypeError(f"name is {name!r}, not the name of a joint")
             message = f"unknown joint {excerpt(name)} of {self.name!r}"
             hint = self.joint_hint(name)
             raise OptionError(Fault("RIG008", message, hint=hint))
