@@ -280,7 +280,7 @@ class Rig:
         """
         names = [*other_names, *self.names]
         similar_name = most_similar(name, names)
-        if not self.joints:
+        if not self.joints or similar_name in other_names:
             return name_hint(name, names)
         part_names: Any = load_object("animtool.retarget.anatomy:joints_of_part")
         part_text, joints = part_names(self, name)
