@@ -105,7 +105,7 @@ class _JointCleaner:
             is_noisy = tolerance > NEGLIGIBLE_NOISE * min_size
             cutoff = (
                 self._choose_cutoff(signal, is_rotation=is_rotation)
-                if is_noisy
+                if is_noisy or self.options.cutoff is not None
                 else None
             )
             spike_frames = tuple(np.flatnonzero(is_spike).tolist())
@@ -237,9 +237,9 @@ def clean(
 ) -> Take:
     """Return a take without spikes, its joints low-pass filtered by their noise.
 
-    Filters have no lag. A joint whose noise a filter would barely reduce is not
-    filtered, so that a take without noise stays unchanged. A note lists what was done
-    (CAP101).
+    Filters have no lag. Without a ``cutoff``, a joint whose noise a filter would barely
+    reduce is not filtered, so that a take without noise stays unchanged. A note lists
+    what was done (CAP101).
 
     Args:
         take: A take of F frames.

@@ -219,7 +219,7 @@ def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> N
     from animtool.scene.bake.steps import PlanSteps, bake_steps
 
     steps = PlanSteps(bake_steps(outline))
-    console.report(params["report_format"], steps, PLAN_TEMPLATE)
+    console.report(params["report_format"], steps, PLAN_TEMPLATE, outline.notices)
 
 
 def _bake_outputs(

@@ -86,7 +86,7 @@ def fill(
         from animtool.capture.templates.file import load_template
         from animtool.scene.sources.onto_rig import open_rig
 
-        loaded_template = load_template(template)
+        loaded_template = load_template(template, rig)
         subject_rig, notices = open_rig(rig_of_template(loaded_template, rig, template))
         subject = MarkerSubject(subject_rig, loaded_template, static_markers)
         with faults_in(markers):

@@ -225,7 +225,14 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
     if output is not None:
         yield f"{output} is an argument: {command_path} SOURCE {output}"
     flags = [flag for param in _command_options(command) for flag in param.opts]
-    equivalent_flags = [flag for flag in OTHER_OPTIONS.get(name, ()) if flag in flags]
+    # A key of files and Python, such as rest_frame, may have another name here.
+    key_flags = [
+        param.opts[-1]
+        for param in _command_options(command)
+        if param.name == bare_name.replace("-", "_")
+    ]
+    equivalent_flags = [*OTHER_OPTIONS.get(name, ()), *key_flags]
+    equivalent_flags = [flag for flag in equivalent_flags if flag in flags]
     if equivalent_flags:
         yield f"did you mean {equivalent_flags[0]!r}?"
     if name in _FRAME_RANGE_NAMES:
@@ -251,8 +258,12 @@ def _option_hints(name: str, context: click.Context) -> Iterator[str]:
 
 def _commands_with_option(name: str, context: click.Context) -> Iterator[str]:
     """Yield the commands that have an option, the common commands first."""
-    root = context.find_root()
-    for path, command in _commands_below(root.command, root):
+    root, group = context.find_root(), context.parent
+    paths = [(path, command) for path, command in _commands_below(root.command, root)]
+    if group is not None and group.info_name is not None:
+        # The commands of the same group first.
+        paths.sort(key=lambda entry: not entry[0].startswith(f"{group.info_name} "))
+    for path, command in paths:
         if any(name in param.opts for param in _command_options(command)):
             yield f"{root.command_path} {path}"
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import AnimtoolError, Fault, OptionError, counted, listed
-from animtool.core.names import name_hint
+from animtool.core.names import belong_elsewhere, most_similar, name_hint
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, unit_name
 from animtool.maths import euler
@@ -132,28 +132,47 @@ def _part_fault(name: str, rig: Rig | None) -> Fault:
     return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
 
 
-# Number and fraction of unknown targets from which a clip is for another rig, unless
-# this fraction of them has names similar to those of the rig: typing errors.
-MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION, MAX_GUESSED_FRACTION = 3, 0.6, 0.5
+# Number of unknown targets from which a clip may be for another rig.
+MIN_UNKNOWN_TARGETS = 3
 
 
-def lacks_most_targets(unknown_targets: Sequence[Fault], target_count: int) -> bool:
-    """Return whether so many targets are unknown that they are another rig's."""
-    guess_count = sum("did you mean" in (fault.hint or "") for fault in unknown_targets)
-    min_count = max(MIN_UNKNOWN_TARGETS, MIN_UNKNOWN_FRACTION * target_count)
-    return len(
-        unknown_targets
-    ) >= min_count and guess_count < MAX_GUESSED_FRACTION * len(unknown_targets)
+def unknown_targets(targets: Iterable[str], rig: Rig) -> list[str]:
+    """Return the targets whose joint, shape or control a rig lacks (CLIP002)."""
+    kinds = {target: target_kind(target, rig) for target in targets}
+    return [
+        target
+        for target, kind in kinds.items()
+        if isinstance(kind, Fault) and kind.code == "CLIP002"
+    ]
 
 
-def missing_targets_text(
-    unknown_targets: Sequence[Fault], target_count: int, rig: Rig
-) -> str:
+def lacks_most_targets(missing: Sequence[str], target_count: int, rig: Rig) -> bool:
+    """Return whether a rig lacks so many targets that they are another rig's."""
+    names_by_group = {
+        "joint": rig.names,
+        "shape": [shape.name for shape in rig.shapes],
+        "control": [control.name for control in rig.controls],
+    }
+    are_similar = [
+        _full_target(name, rig) is not None
+        or most_similar(name, names_by_group[group]) is not None
+        for group, name in map(_group_and_name, missing)
+    ]
+    return belong_elsewhere(are_similar, target_count, MIN_UNKNOWN_TARGETS)
+
+
+def _group_and_name(target: str) -> tuple[str, str]:
+    """Return the group of a target, and the name of its joint, shape or control."""
+    group, _, name = target.partition("/")
+    return group, split_part(name, KEYED_PARTS)[0] if group == "joint" else name
+
+
+def missing_targets_text(missing: Sequence[str], target_count: int, rig: Rig) -> str:
     """Return how many targets a rig lacks, and the first of them."""
     text = f"has none of the {target_count} targets"
-    if len(unknown_targets) < target_count:
-        text = f"lacks {len(unknown_targets)} of the {target_count} targets"
-    subjects = (fault.message.removeprefix("unknown ") for fault in unknown_targets)
+    if len(missing) < target_count:
+        text = f"lacks {len(missing)} of the {target_count} targets"
+    subjects = (f"{group} {name!r}" for group, name in map(_group_and_name, missing))
     return f"rig {rig.name!r} {text}: {listed(list(dict.fromkeys(subjects)), 4)}"
 
 
@@ -178,16 +197,16 @@ def check_targets(
     """
     kinds_or_faults = [target_kind(target, rig) for target in targets]
     faults = [result for result in kinds_or_faults if isinstance(result, Fault)]
-    unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
-    if lacks_most_targets(unknown_targets, len(targets)):
-        message = missing_targets_text(unknown_targets, len(targets), rig)
+    missing = unknown_targets(targets, rig)
+    if lacks_most_targets(missing, len(targets), rig):
+        message = missing_targets_text(missing, len(targets), rig)
         hint = "is it the right rig?"
         if clip_rig_path is not None:
             hint = f"the clip names {clip_rig_path}; {hint}"
         if rig_file_has_all(clip_rig_path, targets):
             hint = f"the clip is for {clip_rig_path}, which has them; sample it on "
             hint += "that rig, and move the take with animtool.retarget.retarget_take"
-        other_faults = [fault for fault in faults if fault not in unknown_targets]
+        other_faults = [fault for fault in faults if fault.code != "CLIP002"]
         faults = [Fault("CLIP002", message, hint=hint), *other_faults]
     if faults:
         raise OptionError(list(dict.fromkeys(faults)))

@@ -18,6 +18,7 @@ from animtool.clip.channels import (
     missing_targets_text,
     rig_file_has_all,
     target_kind,
+    unknown_targets,
 )
 from animtool.clip.clip import Clip
 from animtool.clip.plain_keys import PlainKeys
@@ -244,16 +245,18 @@ class _ClipReader:
     def _add_rig_fault(self) -> None:
         """Replace faults of channels by a single one if the clip is for another rig."""
         faults, channel_count = self.document.faults, len(self.model.channels)
-        unknown_targets = [fault for fault in faults if fault.code == "CLIP002"]
-        if self.rig is None or not unknown_targets:
+        target_faults = [fault for fault in faults if fault.code == "CLIP002"]
+        if self.rig is None or not target_faults:
             return
-        is_for_other_rig = lacks_most_targets(unknown_targets, channel_count)
+        targets = [channel.target for channel in self.model.channels]
+        missing = unknown_targets(targets, self.rig)
+        is_for_other_rig = lacks_most_targets(missing, channel_count, self.rig)
         is_for_named_rig = self._named_rig_has_all()
         if not is_for_other_rig and not is_for_named_rig:
             return
-        message = missing_targets_text(unknown_targets, channel_count, self.rig)
+        message = missing_targets_text(missing, channel_count, self.rig)
         hint = "is it the right rig?"
-        rig_fault = replace(unknown_targets[0], message=message, hint=hint)
+        rig_fault = replace(target_faults[0], message=message, hint=hint)
         if is_for_named_rig:
             hint = (
                 f"the clip is for {self.model.rig}, which has them; animtool retarget, "
@@ -263,7 +266,7 @@ class _ClipReader:
         elif self.model.rig is not None:
             hint = f"the clip names {self.model.rig}; {hint}"
             rig_fault = replace(rig_fault, hint=hint)
-        other_faults = [fault for fault in faults if fault not in unknown_targets]
+        other_faults = [fault for fault in faults if fault not in target_faults]
         self.document.faults[:] = [rig_fault, *other_faults]
 
     def _named_rig_has_all(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Container, Iterable
+from collections.abc import Callable, Container, Iterable, Sequence
 from itertools import islice
 from pathlib import Path
 
@@ -100,6 +100,29 @@ def name_hint(name: str, names: Iterable[str]) -> str:
     omitted_count = len(sorted_names) - MAX_LISTED_NAMES
     omitted_text = f" and {omitted_count} more" if omitted_count > 0 else ""
     return f"allowed: {', '.join(sorted_names[:MAX_LISTED_NAMES])}{omitted_text}"
+
+
+# If this fraction of names is unknown, they belong to something else, unless this
+# fraction of the unknown ones is similar to known names: typing errors.
+MIN_UNKNOWN_FRACTION, MAX_SIMILAR_FRACTION = 0.6, 0.5
+
+
+def belong_elsewhere(
+    are_similar: Sequence[bool], total_count: int, min_count: int
+) -> bool:
+    """Return whether so many names are unknown that they are those of something else.
+
+    Args:
+        are_similar: For each unknown name, whether it is similar to a known one.
+        total_count: Number of names, known and unknown.
+        min_count: Number of unknown names from which this is decided.
+
+    >>> belong_elsewhere([False, False], 3, 2), belong_elsewhere([True, False], 3, 2)
+    (True, False)
+    """
+    unknown_count = len(are_similar)
+    is_majority = unknown_count >= max(min_count, MIN_UNKNOWN_FRACTION * total_count)
+    return is_majority and sum(are_similar) < MAX_SIMILAR_FRACTION * unknown_count
 
 
 def check_unused_variables(

@@ -19,6 +19,8 @@ from collections.abc import Iterable
 
 # An integer of at least this many seconds may be meant in frames.
 MIN_SUSPECT_SECONDS = 5
+# Shorter steps are not mistaken for a number of steps per second [s].
+MIN_SUSPECT_STEP = 1.0
 # Character class of a regular expression: characters that names never need.
 CONTROL_CHARACTERS = "\x00-\x1f\x7f-\x9f\ud800-\udfff"
 # Control characters, line ends, zero-width characters, changes of text direction, and
@@ -197,6 +199,16 @@ def frames_hint(seconds: float, rate: float) -> str | None:
         return None
     duration = f"{seconds / rate:.3g} s"
     return f"{seconds:g} frames at {rate:.6g} frames per second are {duration}"
+
+
+def step_hint(step: float) -> str:
+    """Return how to write a step [s] that was given in steps per second.
+
+    >>> step_hint(24)
+    'step is in seconds: for 24 a second write 0.0417'
+    """
+    rate = plain_number(step)
+    return f"step is in seconds: for {rate} a second write {plain_number(1 / step)}"
 
 
 def percent_hint(value: float) -> str:

@@ -340,7 +340,7 @@ def export_fault(path: Path) -> Fault:
 
 # What to give in place of a file without some content.
 _ALTERNATIVE_HINTS = {
-    "markers": "give a .c3d, .trc or .npz of markers; animtool bake takes joints",
+    "markers": "give a .c3d, .trc or .npz of markers",
     "motion": "give a take, such as .bvh, .fbx or .usd; animtool mocap solve moves a "
     "rig by markers",
     "rig": "give a .rig.yaml, .usd, .bvh, .glb, .fbx or .urdf",
@@ -352,6 +352,9 @@ def _load_opener(target: str, content: str, path: Path) -> Callable[..., Any]:
     if not target:
         message = f"{path.suffix} files hold no {content}"
         hint = _ALTERNATIVE_HINTS.get(content)
+        if content == "markers":
+            command = f"animtool bake {path} -o {path.stem}.usdc"
+            hint = f"{hint}; to bake the take in this file: {command}"
         raise OptionError(Fault("IO002", message, str(path), (), hint))
     try:
         return cast(Callable[..., Any], load_object(target))

@@ -94,6 +94,8 @@ class Document:
         """
         value: Any = self.value
         for step in self._written_steps(location):
+            if isinstance(value, list) and not isinstance(step, int):
+                return None  # a key of an entry that is written as a list
             value = value.get(step) if isinstance(value, dict) else value[step]
         if not isinstance(value, list) or len(value) > MAX_VECTOR_LENGTH:
             return None

@@ -12,9 +12,15 @@ from animtool.core.errors import Fault, excerpt, listed
 from animtool.core.names import FILE_KINDS, most_similar, name_hint, sort_by_similarity
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location, location_text
-from animtool.documents.other_words import AXES, OTHER_KEYS, intended_options
+from animtool.documents.other_words import (
+    AXES,
+    COMMAND_KEYS,
+    OTHER_KEYS,
+    intended_options,
+)
 from animtool.documents.placeholders import (
     annotation_at,
+    field_at,
     fields_at,
     fields_of,
     models_of,
@@ -195,7 +201,11 @@ class ModelFaults:
         if owning_key is not None and owning_key not in mapping:
             meant_key, value = owning_key, {key: value}
             hint = f"write {flow_text(owning_key, value)}"
-        if hint.startswith("allowed"):
+        elif meant_key is not None:
+            hint = self._with_entry_form(hint, (*parent, meant_key), key)
+        if hint.startswith("allowed") and key in COMMAND_KEYS:
+            hint = f"it is an option of commands: {flag(str(key).replace('_', '-'))}"
+        elif hint.startswith("allowed"):
             hint = (
                 self._key_elsewhere(parent, mapping, str(key))
                 or self._key_of_another_branch(parent, str(key), value)
@@ -207,6 +217,16 @@ class ModelFaults:
             mapping[meant_key] = value
             self.document.old_keys[*parent, meant_key] = str(key)
             self.document.guessed_keys.add((*parent, meant_key))
+
+    def _with_entry_form(self, hint: str, location: Location, key: Any) -> str:
+        """Return a hint with the entry of a list that an unknown key names, if any."""
+        field_match = field_at(self.model, self.value, location)
+        example = (field_match[1].examples or [None])[0] if field_match else None
+        entries = example if isinstance(example, list) else []
+        for entry in entries:
+            if isinstance(entry, dict) and [*entry] == [key]:
+                return f"{hint}: write {flow_text(str(location[-1]), [entry])}"
+        return hint
 
     def _key_elsewhere(
         self, parent: Location, mapping: dict[str, Any], key: str
@@ -482,7 +502,9 @@ class ModelFaults:
     def _syntax_hint(self, location: Location, faults: list[Any]) -> str | None:
         """Return a hint that shows the correct form of a value; None if unknown."""
         value, structures = faults[0]["input"], expected_structures(faults)
-        comma_hint = self.document.decimal_comma_hint(location)
+        bounds = faults[0].get("ctx", {})
+        count = bounds.get("min_length") or bounds.get("max_length") or 0
+        comma_hint = self.document.decimal_comma_hint(location, count)
         if structures and comma_hint is not None:
             return comma_hint
         if is_euler_angles(faults):

@@ -44,6 +44,9 @@ OTHER_VALUES = {
     "centimetres": "cm",
     "millimeters": "mm",
     "millimetres": "mm",
+    "0.01": "cm",
+    "0.001": "mm",
+    "0.0254": "in",
     "inch": "in",
     "inches": "in",
     "degree": "deg",
@@ -83,13 +86,16 @@ OTHER_KEYS = {
     "start": ("range", "first"),
     "end": ("range", "last"),
     "frames": ("range", "keys"),
+    "factor": ("speed", "gain"),
+    "joint": ("joints", "root"),
+    "keys": ("curve",),
     "position": ("translate", "at"),
     "rotation": ("rotate",),
     "orientation": ("rotate",),
     "bones": ("joints",),
     "controllers": ("controls",),
     "blendshapes": ("shapes",),
-    "file": ("source",),
+    "file": ("source", "take"),
     "input": ("source", "inputs"),
     "bone": ("joint",),
     "interpolation": ("interp",),
@@ -104,6 +110,8 @@ OTHER_KEYS = {
     "stop": ("range", "last"),
     "out": ("output",),
 }
+# Keys that are options of commands only.
+COMMAND_KEYS = frozenset({"overwrite", "strict", "skip_existing", "jobs", "debug"})
 # Options that are intended by a single value instead of a pass's options, in order.
 PASS_OPTIONS = {
     "blend": ("take",),

@@ -7,7 +7,7 @@ from itertools import islice
 from pathlib import Path
 
 from animtool.core.arguments import flag
-from animtool.core.config import find_config, innermost_project
+from animtool.core.config import find_config, innermost_project, project_roots
 from animtool.core.errors import counted
 from animtool.core.files.reading import (
     MAX_SEARCHED_NAMES,
@@ -138,3 +138,22 @@ def resolve_input(
         document.add("DOC015", location, message, similar_file_hint(document, name))
         return None
     return path
+
+
+def resolve_named_rig(
+    document: Document, name: str | None, *, is_replaced: bool
+) -> Path | None:
+    """Resolve the rig that a document names in ``rig``; None if it names none.
+
+    A rig that another one replaces may be missing.
+    """
+    if name is None:
+        return None
+    roots = project_roots(document.path)
+    if not is_replaced:
+        return resolve_input(document, ("rig",), name, roots)
+    try:
+        path = resolve_path(document.path.resolve().parent, roots, name)
+    except ValueError:
+        return None
+    return path if exists(path) else None

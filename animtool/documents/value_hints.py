@@ -28,7 +28,7 @@ MAX_EXAMPLE_LENGTH = 100
 _NUMBER_PAIR = re.compile(r"(-?\d+(?:\.\d+)?)\s*(?:[-xX:,]|\.\.)\s*(-?\d+(?:\.\d+)?)")
 _NUMBER_UNIT = re.compile(r"\d+([A-Za-z]+)")
 _TIME_CODE = re.compile(r"\d+:\d\d:\d\d[:;]\d\d")
-_RANGE_LENGTH = 2
+_RANGE_LENGTH, _VECTOR_LENGTH = 2, 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -255,7 +255,7 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A magnitude along the only axis of the example: gravity of 9.81 points down.
         axes = [i for i, number in enumerate(example) if number]
-        if len(example) > _RANGE_LENGTH and len(axes) == 1:
+        if len(example) == _VECTOR_LENGTH and len(axes) == 1:
             sign = -1 if example[axes[0]] < 0 < value else 1
             return [sign * value if i in axes else 0 for i in range(len(example))]
     if isinstance(value, list):

@@ -16,6 +16,7 @@ from animtool.clip.file import read_range
 from animtool.clip.schema import CurveModel
 from animtool.core.config import project_roots
 from animtool.core.errors import listed
+from animtool.core.names import belong_elsewhere, most_similar
 from animtool.core.rates import RateError, parse_rate
 from animtool.core.units import LengthUnit
 from animtool.documents.arrays import Archives
@@ -36,9 +37,8 @@ from animtool.ik.values import Constant, Value, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 
-# Effectors of which only another rig lacks so many, if fewer than this fraction of them
-# have names similar to those of the rig.
-MIN_UNKNOWN_EFFECTORS, MIN_UNKNOWN_FRACTION, MAX_GUESSED_FRACTION = 2, 0.6, 0.5
+# Number of unknown effectors from which targets may be for another rig.
+MIN_UNKNOWN_EFFECTORS = 2
 # A shorter direction is a typing error and is refused.
 MIN_DIRECTION = 1e-9
 
@@ -126,21 +126,23 @@ class _TargetsReader:
             for fault in faults
             if fault.code == "TGT001" and (fault.where or "").endswith(".effector")
         ]
-        unknown_count = len(effector_faults)
-        guess_count = sum("did you mean" in (f.hint or "") for f in effector_faults)
-        min_count = max(MIN_UNKNOWN_EFFECTORS, MIN_UNKNOWN_FRACTION * goal_count)
-        if (
-            self.rig is None
-            or unknown_count < min_count
-            or guess_count >= MAX_GUESSED_FRACTION * unknown_count
+        if self.rig is None:
+            return
+        chains = [chain.name for chain in self.rig.chains]
+        known_names = [*chains, *self.rig.names]
+        effectors = (goal.effector for goal in self.model.goals)
+        unknown_names = [name for name in effectors if name not in known_names]
+        are_similar = [bool(most_similar(name, known_names)) for name in unknown_names]
+        if not effector_faults or not belong_elsewhere(
+            are_similar, goal_count, MIN_UNKNOWN_EFFECTORS
         ):
             return
-        names = dict.fromkeys(f.message.partition(" is ")[0] for f in effector_faults)
+        names = list(dict.fromkeys(map(repr, unknown_names)))
         message = (
-            f"{unknown_count} of {goal_count} effectors are not in {self.rig.name!r}: "
-            f"{listed(list(names), 4)}; these targets look like those of another rig"
+            f"{len(unknown_names)} of {goal_count} effectors are not in "
+            f"{self.rig.name!r}: {listed(names, 4)}; these targets look like those of "
+            "another rig"
         )
-        chains = [chain.name for chain in self.rig.chains]
         hint = f"{self.rig.name!r} has no chains"
         if chains:
             hint = f"the chains of {self.rig.name!r} are {listed(chains, 8)}"

@@ -63,7 +63,7 @@ KINDS = (
         depends_on_rotation=False,
         description="Target of the point: three numbers, an array (F, 3), keys or a "
         "prim.",
-        example="hands.npz#left",
+        example=[0.3, 1.1, 0.4],
         weight_description="Weight of the position: at least 0, or keys. Default: 1.",
         weight_example=10.0,
     ),

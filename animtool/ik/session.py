@@ -128,7 +128,7 @@ class Session:
         Raises:
             OptionError: As for `build` and `solve`.
         """
-        values_by_goal = named if targets is None else {**targets, **named}
+        values_by_goal = self._values_by_goal(targets, named)
         packed_problem, buffer = self._fill_buffer(values_by_goal)
         problem, solver = packed_problem.problem, packed_problem.solver
         if self.options.near or self.rig.is_driven:
@@ -172,7 +172,7 @@ class Session:
             OptionError: The arm has no closed form (IK015): six pins in a row, of which
                 the last three meet or the middle ones are parallel; and as for `solve`.
         """
-        values_by_goal = named if targets is None else {**targets, **named}
+        values_by_goal = self._values_by_goal(targets, named)
         packed_problem, target_buffer = self._fill_buffer(values_by_goal)
         problem = packed_problem.problem
         if not packed_problem.has_branches:
@@ -191,6 +191,18 @@ class Session:
             repacked_targets = pack(_targets_of_buffer(target_buffer), problem.goals)
             start_pose = pose_rows(problem, start, 1, "start")[0]
             return packed_problem.solver.branches(start_pose, repacked_targets[0])
+
+    def _values_by_goal(
+        self, targets: object, named: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Return the targets of both arguments by the names of their goals."""
+        if targets is None:
+            return named
+        if not isinstance(targets, Mapping):
+            name = next(iter(self._goals), "GOAL")
+            message = f"targets is a {type(targets).__name__}, not a mapping; write "
+            raise TypeError(f"{message}{{{name!r}: TARGET}}")
+        return {**targets, **named}
 
     def _fill_buffer(
         self, values_by_goal: Mapping[str, Any]

@@ -15,7 +15,7 @@ from animtool.clip.channels import ClipChannel, ClipUnits, evaluate_channels
 from animtool.clip.schema import CurveModel
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import AnimtoolError, Fault, OptionError, counted
-from animtool.core.files.reading import not_a_file_reason
+from animtool.core.files.reading import exists, not_a_file_reason
 from animtool.core.readers import find_reader
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives
@@ -384,7 +384,12 @@ class ValueReader:
         try:
             values = np.asarray(self.archives.load_stored(path, array_name), np.float64)
         except ValueError as error:
-            self.document.add("TGT006", location, str(error))
+            hint = None
+            if not exists(path):
+                numbers = "[w, x, y, z]" if key == "orientation" else "[x, y, z]"
+                hint = similar_file_hint(self.document, file_name)
+                hint = hint or f"write {numbers}, or an array, such as hands.npz#left"
+            self.document.add("TGT006", location, str(error), hint)
             return None
         component_count = 4 if key == "orientation" else 3
         row_count = self.row_count

@@ -57,7 +57,17 @@ def find_shape_faults(
         ):
             if expected_shape != shape:
                 message = f"{name}.{part} must have shape {expected_shape}, not {shape}"
-                faults.append(Fault("TAKE001", message))
+                hint = None
+                if part == "rest" and width > 1 and shape[1:] == (width,):
+                    hint = f"the motion is that of a rig with {shape[0]} joints, and "
+                    hint += (
+                        f"{rig.name!r} has {count}; animtool.retarget.retarget_take "
+                    )
+                    hint += "moves a take to another rig"
+                elif part == "values" and shape[1:] == expected_shape[1:]:
+                    hint = f"the clock has {counted(frames, 'frame')}, and the motion "
+                    hint += f"{shape[0]}: write count={shape[0]} in the clock"
+                faults.append(Fault("TAKE001", message, hint=hint))
         bounded_indices = [-1, *channel.animated.ravel().tolist(), count]
         if not all(a < b for a, b in pairwise(bounded_indices)):
             message = f"{name}.animated must ascend from 0 to below {count}"

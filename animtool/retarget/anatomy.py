@@ -9,13 +9,15 @@ from itertools import compress
 import numpy as np
 
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, listed, warning
+from animtool.core.errors import Fault, counted, listed, warning
 from animtool.core.record import dataclass
 from animtool.retarget.fingers import finger_roles
 from animtool.retarget.names import (
+    ParsedName,
     Preset,
     best_preset,
     find_preset,
+    matched_name_count,
     parse_names,
     role_votes,
 )
@@ -109,8 +111,10 @@ def find_anatomy(
         names = [joint.humanoid or name for joint, name in named_joints]
     parsed_names = parse_names(names, rig.parents)
     chosen_preset: Preset | None = None
+    preset_warnings: list[Fault] = []
     if preset is not None:
         chosen_preset = find_preset(preset)
+        preset_warnings = _preset_warning(chosen_preset, rig, names, parsed_names)
     elif uses_names:
         chosen_preset = best_preset(names, parsed_names)
     votes: list[dict[str, float]] = [{} for _ in names]
@@ -119,7 +123,7 @@ def find_anatomy(
     joint_kinds = [name.kind if uses_names else "" for name in parsed_names]
     body = SkeletonTree.of(rig, votes, joint_kinds)
     search = _RoleSearch(body, [""] * len(names))
-    notices = _ignore_smaller_trees(search)
+    notices = [*preset_warnings, *_ignore_smaller_trees(search)]
     _find_limbs(search)
     up = find_up_direction(body, search.tip_joints)
     if up is None and positions is not None:
@@ -142,22 +146,53 @@ def find_anatomy(
     )
 
 
+# A preset with fewer than this fraction of the names of another one is a wrong choice.
+MIN_MATCH_FRACTION = 0.5
+
+
+def _preset_warning(
+    preset: Preset, rig: Rig, names: Sequence[str], parsed_names: Sequence[ParsedName]
+) -> list[Fault]:
+    """Return a warning if another convention has many more of the names (MAP113)."""
+    best = best_preset(names, parsed_names)
+    count = matched_name_count(preset, parsed_names)
+    best_count = 0 if best is None else matched_name_count(best, parsed_names)
+    if best is None or count >= MIN_MATCH_FRACTION * best_count:
+        return []
+    message = f"preset {preset.name!r} has {count or 'none'} of the names of the "
+    message += f"{counted(len(names), 'joint')} of {rig.name!r}, and {best.name!r} "
+    message += f"{best_count}"
+    hint = f"write {best.name} in place of {preset.name}, or leave the preset out"
+    return [warning("MAP113", message, hint)]
+
+
 def joints_of_part(rig: Rig, name: str) -> tuple[str, list[str]]:
     """Return the part of the body that a name means, and the joints that a rig has.
 
     Both are empty for a name without a known meaning, or if the rig has no such part.
+    A name without a side means both sides.
     """
-    role = name
-    if name not in ROLES:
-        (votes,) = role_votes(parse_names([name], np.array([-1])), None)
-        role = max(votes, key=lambda one: votes[one], default="")
+    role, roles = _role_of_name(name), []
+    if role:
+        # Many rigs call their hips the pelvis.
+        roles = [role, "hips"] if base_role(role) == "pelvis" else [role]
+    elif role := _role_of_name(f"{name}_l"):
+        roles = [f"{base_role(role)}_{side}" for side in SIDES]
+        role = base_role(role)
     if not role:
         return "", []
     anatomy = find_anatomy(rig)
+    joints = [rig.names[j] for each in roles for j in anatomy.chain(each)]
     sides = {"_l": "left ", "_r": "right "}
-    part = base_role(role).replace("_", " ")
-    part_text = sides.get(role[-2:], "") + part
-    return part_text, [rig.names[j] for j in anatomy.chain(role)]
+    return sides.get(role[-2:], "") + base_role(role).replace("_", " "), joints
+
+
+def _role_of_name(name: str) -> str:
+    """Return the role that a name means, by the words of many conventions; else ""."""
+    if name in ROLES:
+        return name
+    (votes,) = role_votes(parse_names([name], np.array([-1])), None)
+    return max(votes, key=lambda role: votes[role], default="")
 
 
 def _role_source(role: str, votes: Mapping[str, float]) -> RoleSource:

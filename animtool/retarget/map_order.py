@@ -64,19 +64,29 @@ def _chain_order_texts(chain: Sequence[int], rig: Rig) -> tuple[str, str] | None
 def _exchanged_pairs(
     entries: Sequence[ResolvedEntry], source: Rig, target: Rig
 ) -> list[tuple[int, int]]:
-    """Return entries of which the first is above the second only in the source."""
+    """Return entries of which the first is above the second only in the source.
+
+    Each entry is in one pair: of several, those farthest apart are paired first.
+    """
     tops = [_top_joints(entry, source, target) for entry in entries]
     entries_by_source: dict[int, list[int]] = {}
     for i, (source_top, _) in enumerate(tops):
         entries_by_source.setdefault(source_top, []).append(i)
     ancestors = [set(target.upwards(target_top)[1:]) for _, target_top in tops]
-    pairs = [
-        (upper, lower)
+    candidates = [
+        (-distance, upper, lower)
         for lower, (source_top, target_top) in enumerate(tops)
-        for joint in source.upwards(source_top)[1:]
+        for distance, joint in enumerate(source.upwards(source_top))
+        if distance
         for upper in entries_by_source.get(joint, ())
         if target_top in ancestors[upper]
     ]
+    pairs: list[tuple[int, int]] = []
+    paired_entries: set[int] = set()
+    for _, upper, lower in sorted(candidates):
+        if paired_entries.isdisjoint((upper, lower)):
+            paired_entries |= {upper, lower}
+            pairs.append((upper, lower))
     return sorted(pairs, key=sorted)
 
 

@@ -271,15 +271,20 @@ def _preset_hint(name: str) -> str:
     return f"animtool explain MAP003 lists all {len(names)}"
 
 
+def matched_name_count(preset: Preset, parsed_names: Sequence[ParsedName]) -> int:
+    """Return how many different names of joints a convention has."""
+    name_keys = {name.name_key for name in parsed_names if name.kind != CONTROL}
+    return len(name_keys & preset.roles_by_key.keys())
+
+
 def best_preset(
     names: Sequence[str], parsed_names: Sequence[ParsedName]
 ) -> Preset | None:
     """Return the convention that matches most names; None if too few match any."""
-    name_keys = {name.name_key for name in parsed_names if name.kind != CONTROL}
     scores = {
         name: (
             # Full names, including prefixes, distinguish conventions that share words.
-            len(name_keys & preset.roles_by_key.keys())
+            matched_name_count(preset, parsed_names)
             + 0.1 * len(preset.full_names.intersection(names)),
             -len(preset.roles_by_key),
         )

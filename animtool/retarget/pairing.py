@@ -20,9 +20,11 @@ from animtool.retarget.map_order import map_order_warnings
 from animtool.retarget.names import check_presets
 from animtool.retarget.roled_skeleton import RoledSkeleton
 from animtool.retarget.roles import (
+    ARM_ROLES,
     CONTROL,
     DIGITS,
     END,
+    LEG_ROLES,
     MITTEN_ROLE,
     ROLES,
     SIDES,
@@ -147,7 +149,10 @@ def map_joints(
             *anatomies[1].notices,
             *order_warnings,
             *_crossed_side_warnings(rigs, anatomies, pairs.values(), map_file),
-            *_leg_count_warnings(rigs, anatomies),
+            *(
+                _leg_count_warnings(rigs, anatomies)
+                or _crossed_limb_warnings(rigs, anatomies, pairs.values(), map_file)
+            ),
         ),
     )
 
@@ -182,9 +187,42 @@ def _crossed_side_warnings(
             names = rigs[0].names[partner], rigs[0].names[joint]
             hint = f"write {names[0]} in place of {names[1]}, which another joint "
             hint += "follows too"
+    return [_map_warning("MAP108", message, hint, map_file)]
+
+
+def _map_warning(
+    code: str, message: str, hint: str, map_file: MapFile | Path | str | None
+) -> Fault:
     path = map_file.document.path if isinstance(map_file, MapFile) else map_file
     file_path = None if path is None else str(path)
-    return [Fault("MAP108", message, file_path, (), hint, Severity.WARNING)]
+    return Fault(code, message, file_path, (), hint, Severity.WARNING)
+
+
+def _crossed_limb_warnings(
+    rigs: tuple[Rig, Rig],
+    anatomies: tuple[Anatomy, Anatomy],
+    pairs: Iterable[JointPair],
+    map_file: MapFile | Path | str | None,
+) -> list[Fault]:
+    """Return a warning if joints of an arm are paired with those of a leg (MAP114)."""
+    limb_of_role = dict.fromkeys(ARM_ROLES, "arm") | dict.fromkeys(LEG_ROLES, "leg")
+    crossed_pairs = []
+    for pair in pairs:
+        limbs = [
+            limb_of_role.get(base_role(anatomy.roles[joint]))
+            for anatomy, joint in zip(
+                anatomies, (pair.source, pair.target), strict=True
+            )
+        ]
+        if {*limbs} == {"arm", "leg"}:
+            names = rigs[0].names[pair.source], rigs[1].names[pair.target]
+            crossed_pairs.append(f"{names[0]} ({limbs[0]}) to {names[1]} ({limbs[1]})")
+    if not crossed_pairs:
+        return []
+    message = f"{counted(len(crossed_pairs), 'joint')} of {rigs[1].name!r} follow the "
+    message += f"other kind of limb: {listed(crossed_pairs, 4)}"
+    hint = "pair arms with arms and legs with legs in the map"
+    return [_map_warning("MAP114", message, hint, map_file)]
 
 
 def _leg_count_warnings(

@@ -8,7 +8,8 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, warning
-from animtool.core.quantities import length_text, plain_number
+from animtool.core.quantities import length_text, plain_number, vector_text
+from animtool.core.units import unit_name
 from animtool.motion.motion import Motion
 from animtool.rig.body_size import find_feet, is_character
 from animtool.rig.kinematics import rest_size, rest_world
@@ -35,6 +36,9 @@ MIN_UPRIGHT_RATIO = 0.6
 # Tolerance of a height that equals the leg length, and its maximum standard deviation,
 # in leg lengths [1].
 HEIGHT_TOLERANCE, HEIGHT_DEVIATION = 0.15, 0.08
+# A root that stays this far from the origin, in leg lengths, and moves by no more than
+# this fraction of the distance, has a moved origin [1].
+MIN_FAR_RATIO, MAX_FAR_TRAVEL = 500.0, 0.1
 # Minimum range of a root along the up axis that is a path over the ground, in leg
 # lengths [1].
 MIN_VERTICAL_TRAVEL = 1.0
@@ -109,8 +113,9 @@ def root_warning(
 
     Its height is 25 times the leg length or more, as with another unit (MOT213); or it
     is the leg length below 0, or along a horizontal axis while the root travels
-    vertically, as with another up axis (MOT214). Rigs without named feet, with a root
-    that is not at the hips, or with several roots have no such warning.
+    vertically, as with another up axis (MOT214). Or it stays far from the origin
+    (MOT223). Rigs without named feet, with a root that is not at the hips, or with
+    several roots have no such warning.
 
     With an ``interval``, the time between two frames [s], the warning includes roots
     that are too low, as with another unit (MOT213).
@@ -123,6 +128,7 @@ def root_warning(
     name, up = rig.joints[root].name, np.array(rig.up.vector, float)
     ratios = motion.translations.gather(np.array([root]))[:, 0] / leg_length
     problem = _translation_problem(ratios, up, leg_length)
+    problem = problem or _far_root_problem(rig, ratios, leg_length)
     if problem is None and interval is not None:
         problem = _low_root_problem(rig, motion, ratios @ up, leg_length, interval)
     if problem is None:
@@ -182,6 +188,28 @@ def _translation_problem(
             hint = "exchange these two translations, or export the file again"
             return "MOT214", message, hint
     return None
+
+
+def _far_root_problem(
+    rig: Rig, ratios: FloatArray, leg_length: float
+) -> tuple[str, str, str] | None:
+    """Return the code, the message and the hint for a root far from the origin.
+
+    ``ratios`` ``(F, 3)`` are its translations over the leg length [1].
+    """
+    distance = float(np.linalg.norm(ratios, axis=1).min())
+    travel = float(np.linalg.norm(np.ptp(ratios, axis=0)))
+    if distance < MIN_FAR_RATIO or travel > MAX_FAR_TRAVEL * distance:
+        return None
+    rounding = float(np.spacing(np.float32(distance * leg_length)))
+    message = f"is {length_text(distance * leg_length)} or more from the origin, and "
+    message += f"travels {length_text(travel * leg_length)}: single precision rounds "
+    message += f"positions there by {length_text(rounding)}"
+    first = (1 - np.array(rig.up.vector, float)) * ratios[0] * leg_length
+    numbers = vector_text(first / rig.meters_per_unit, 6)
+    hint = f"subtract where it starts on the ground, {numbers} "
+    hint += f"{unit_name(rig.meters_per_unit)}, or export the take from a scene around "
+    return "MOT223", message, f"{hint}the origin"
 
 
 def _low_root_problem(

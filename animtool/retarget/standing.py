@@ -290,10 +290,11 @@ def lying_body_notices(
     motion: Motion,
     severity: Severity = Severity.NOTE,
     up: UpAxis | None = None,
+    file_format: str = "",
 ) -> list[Fault]:
     """Return a notice if a body stands along another axis than up (MOT214).
 
-    up: The axis that the user chose.
+    ``up`` is the axis that the user chose. ``file_format`` may state its axis.
     """
     # An axis that the user chose is always checked: four-legged bodies are long.
     if up is None and not _other_is_longer(rig, motion):
@@ -316,7 +317,8 @@ def lying_body_notices(
         chosen_option = argument("source.up", up)
         message = f"read with {chosen_option}, the body stands along {sign}{axis}, "
         message += f"not {rig.up}"
-    hint = f"read it with {argument('source.up', suggested_axis)}"
+    hint = UP_AXIS_HINTS.get(file_format, "").format(suggested_axis)
+    hint = hint or f"read it with {argument('source.up', suggested_axis)}"
     return [Fault("MOT214", message, str(path), (), hint, severity)]
 
 
@@ -336,8 +338,8 @@ def with_source_warnings(
     reader's notices or ``reported_codes`` contain one.
 
     MOT214 is determined from the first block: a warning if the user chose the axis
-    ``up`` or markers were solved, and a note for BVH, which states no axis. Other files
-    state it.
+    ``up``, the file states it or markers were solved, and a note for BVH, which states
+    no axis.
     """
     rate = stream.fps / stream.step
     known_codes = {notice.code for notice in stream.notices}
@@ -364,7 +366,6 @@ def with_source_warnings(
     file_format = stream.details.get("format")
     if unit is not None and "RIG217" not in known_codes and file_format != "markers":
         add_notices(_size_warning(path, stream.rig, unit))
-    is_stated = up is None and file_format not in {"BVH", "markers"}
     is_note = up is None and file_format == "BVH"
     severity = Severity.NOTE if is_note else Severity.WARNING
 
@@ -380,8 +381,9 @@ def with_source_warnings(
                     add_notices(replace(n, path=str(path)) for n in unit_notices)
             # A root whose channels are swapped has no orientation to check.
             is_swapped = any(notice.code == "BVH115" for notice in stream.notices)
-            if i == 0 and not is_stated and not is_swapped:
-                add_notices(lying_body_notices(path, stream.rig, block, severity, up))
+            if i == 0 and not is_swapped:
+                settings = (severity, up, str(file_format))
+                add_notices(lying_body_notices(path, stream.rig, block, *settings))
             if i == 0 and file_format != "markers" and not is_swapped:
                 known_codes = {notice.code for notice in stream.notices}
                 for problem in (

@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, warning
-from animtool.core.quantities import plain_number
+from animtool.core.quantities import MIN_SUSPECT_STEP, plain_number, step_hint
 from animtool.sim.equations import Equations
 from animtool.sim.integrators.integrator import EquationForm, Integrator, StepControl
 from animtool.sim.modes import allowed_step
@@ -26,10 +26,6 @@ _STATUS_CODES = {
     Status.OUT_OF_BUDGET: "SIM104",
     Status.NOT_SOLVED: "SIM105",
 }
-
-
-# Shorter steps are not mistaken for a number of steps per second [s].
-MIN_REPORTED_STEP = 1.0
 
 
 def step_warnings(
@@ -51,12 +47,11 @@ def step_warnings(
     max_step = max((step_grid(*span, step).h for span in spans), default=0.0)
     notices = []
     duration = float(times[-1] - times[0])
-    if step > max(duration, MIN_REPORTED_STEP) > 0 and len(spans) > 1:
+    if step > max(duration, MIN_SUSPECT_STEP) > 0 and len(spans) > 1:
         message = f"a step of {plain_number(step)} s is longer than the whole run of "
         message += f"{plain_number(duration)} s; steps of {plain_number(max_step)} s "
         message += "are taken"
-        hint = f"step is in seconds: for {plain_number(step)} a second write "
-        notices.append(warning("SIM109", message, f"{hint}{plain_number(1 / step)}"))
+        notices.append(warning("SIM109", message, step_hint(step)))
     limit = None if modes is None else allowed_step(integrator, modes)
     if limit is None or max_step <= limit:
         return notices

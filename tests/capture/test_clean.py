@@ -18,11 +18,13 @@ from animtool.capture.clean import (
     clean_take,
     noise_scores,
 )
+from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.formats.bvh.read import read_bvh
 from animtool.maths import so3
-from animtool.motion.motion import Channel
+from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
+from animtool.rig.skeleton import Joint, Rig
 
 
 def spiked(take: Take, seed: int) -> tuple[Take, set[tuple[int, int]]]:
@@ -237,3 +239,21 @@ def test_how_rough_a_motion_is_is_told_by_as_many_frames_before_as_behind() -> N
     assert_array_equal(_roughness(path), (np.arange(100) >= 51).astype(float))
     assert_array_equal(_roughness(path[:2]), [0.0, 0.0])
     assert_array_equal(_roughness(path[60:64]), np.ones(4))
+
+
+def test_a_cutoff_filters_a_take_without_noise() -> None:
+    angles = 0.5 * np.sin(np.arange(240) / 20)
+    rotations = np.stack(
+        [np.sin(angles / 2), 0 * angles, 0 * angles, np.cos(angles / 2)], axis=-1
+    )
+    rig = Rig("arm", (Joint("upper", -1), Joint("lower", 0, translation=(0, 1.0, 0))))
+    dense = np.tile([0.0, 0, 0, 1], (240, 2, 1))
+    dense[:, 1] = rotations
+    translations = np.tile(rig.rest_translations, (240, 1, 1))
+    motion = Motion(Channel.from_dense(translations), Channel.from_dense(dense))
+    take = Take(rig, Clock(60, 1, 1, 240), motion)
+    assert_array_equal(clean(take).motion.rotations.dense(), dense)
+    filtered = clean(take, cutoff=0.1)
+    assert "CAP106" in [notice.code for notice in filtered.notices]
+    change = so3.angle_between(filtered.motion.rotations.dense(), dense)
+    assert change.max() > 0.2

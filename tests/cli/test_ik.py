@@ -334,6 +334,8 @@ def test_joints_that_the_rig_lacks_are_a_fault_of_its_file(place: Path) -> None:
         (("-t", "reach.targets.yaml", "--restarts", str(2**31)), 2),
         (("-t", "reach.targets.yaml", "-o", "x.bvh", "--rig-layer", "y.usda"), 2),
         (("-t", "reach.targets.yaml", "-o", "x.txt"), 2),
+        (("-t", "reach.targets.yaml", "--units", "cm"), 2),
+        (("-t", "reach.targets.yaml", "--source-fps", "30", "--table"), 2),
         (("-t", "reach.targets.yaml", "-o", "reach.targets.yaml"), 2),
         (("-t", "reach.targets.yaml", "--table", "-o", "x.usda"), 2),
         (("-t", "reach.targets.yaml", "--table", "--strict"), 2),

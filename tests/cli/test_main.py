@@ -67,6 +67,9 @@ def test_a_command_is_supervised_unless_it_reads_no_usd() -> None:
         (["preview", "a.bvh", "--end", "12"], "'--range'?"),
         (["retarget", "a.bvh", "--last", "12"], "'--range'?"),
         (["bake", "a.bvh", "--cutoff", "6"], "animtool mocap clean has it"),
+        (["mocap", "label", "a.c3d", "--template", "b"], "animtool mocap fill has it"),
+        (["bake", "a.bvh", "--rest-frame", "3"], "did you mean '--rest'?"),
+        (["bake", "a.bvh", "--form", "layer"], "did you mean '--as'?"),
         (["mocap", "clean", "a.bvh", "--gaps", "fill"], "animtool mocap fill has it"),
         (["validate", "CLIP2"], "animtool explain CLIP2"),
         (

@@ -188,6 +188,13 @@ def test_markers_are_not_cleaned_but_filled(tmp_path: Path) -> None:
     assert "animtool mocap fill take.npz" in done.stderr
 
 
+def test_markers_are_solved_before_takes_are_compared(tmp_path: Path) -> None:
+    source = marker_file(tmp_path, "take.trc")
+    done = animtool("diff", source, source)
+    assert (done.code, done.stdout) == (2, "")
+    assert f"first make a take of them: animtool mocap solve {source}" in done.stderr
+
+
 def test_two_arrays_of_one_file_have_one_notice(tmp_path: Path) -> None:
     random = np.random.default_rng(5)
     rest = random.uniform(0, 1700, (6, 3))

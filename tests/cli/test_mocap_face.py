@@ -139,3 +139,13 @@ def test_landmarks_without_positions_on_the_rig(root: Path, tmp_path: Path) -> N
     assert done.code == 2
     assert "FAC003" in done.stderr
     assert "--landmarks FILE" in done.stderr
+
+
+def test_landmarks_may_name_a_rig_that_is_missing(
+    tmp_path: Path, landmarks: Path
+) -> None:
+    text = OWN[1].read_text("utf-8")
+    moved = tmp_path / "head.landmarks.yaml"
+    moved.write_text(text.replace("\nrig:", "\nrig: none.rig.yaml #"), "utf-8")
+    done = animtool("mocap", "face", landmarks, *RIG, "--landmarks", moved)
+    assert done.code == 0, done.stderr

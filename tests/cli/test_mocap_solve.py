@@ -104,3 +104,14 @@ def test_a_rig_of_another_is_pointed_out(folder: Path) -> None:
         "mocap", "solve", "take.npz", "--template", "off.markers.yaml", cwd=folder
     )
     assert "SOL107" in done.stderr
+
+
+def test_another_rig_replaces_the_missing_one_of_a_template(folder: Path) -> None:
+    (folder / "f.rig.yaml").rename(folder / "ann.rig.yaml")
+    for command in ("solve", "fill"):
+        words = ("mocap", command, "take.npz", "--template", "f.markers.yaml")
+        words = (*words, "-o", "out.usda" if command == "solve" else "out.npz")
+        done = animtool(*words, cwd=folder)
+        assert (done.code, "DOC015" in done.stderr) == (3, True)
+        done = animtool(*words, "--rig", "ann.rig.yaml", cwd=folder)
+        assert done.code == 0, done.stderr

@@ -449,6 +449,10 @@ def test_a_namespace_that_no_joint_has(joint: str, found: bool, tmp_path: Path) 
     lines = warnings(*command, "1")
     assert sum("USD125" in line for line in lines) == found
     assert "USD125" not in "".join(warnings(*command, "0", "--overwrite"))
+    (more,) = (
+        line for line in warnings(*command, "3", "--overwrite") if "USD125" in line
+    )
+    assert found or f"write --strip-namespace {joint.count(':')}" in more
 
 
 @pytest.mark.parametrize(("blend", "found"), [("500", True), ("12", False)])

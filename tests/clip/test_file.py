@@ -405,3 +405,9 @@ def test_targets_of_another_rig_are_one_fault(tmp_path: Path) -> None:
 def test_misspelt_targets_are_a_fault_each(tmp_path: Path) -> None:
     targets = ["joint/elbw_l.angle", "joint/sholder_l.scale", "control/gri"]
     assert [code for code, _ in blamed(tmp_path, targets)] == ["CLIP002"] * 3
+
+
+def test_names_of_parts_of_the_body_are_those_of_another_rig(tmp_path: Path) -> None:
+    # A part of the body is a hint, but not a typing error.
+    targets = [f"joint/{name}.scale" for name in ("LeftForeArm", "LeftUpLeg", "Jaw")]
+    assert len(blamed(tmp_path, targets)) == 1

@@ -101,6 +101,26 @@ def test_each_fault_has_its_line(folder: Path, code: str, goal: str) -> None:
 
 
 @pytest.mark.parametrize(
+    ("value", "hint"),
+    [
+        ("position: 1.2", "position: [0.3, 1.1, 0.4]"),
+        ("position: [1, 2]", "position: [0.3, 1.1, 0.4]"),
+        ("position: [0,1, 2, 3,4]", "write [0.1, 2, 3.4]"),
+        ("position: 1.2 m", "write [x, y, z]"),
+        ("position: {keys: [[1, 1.2]]}", "keys: [{t: 1, v: 1.2}]"),
+        ("orientation: 90", "orientation: [1, 0, 0, 0]"),
+    ],
+)
+def test_a_value_of_another_form_shows_the_right_one(
+    folder: Path, value: str, hint: str
+) -> None:
+    with pytest.raises(FormatError) as caught:
+        tracks_of(folder, f"- {{effector: leg_l, {value}}}")
+    (fault,) = caught.value.faults
+    assert hint in (fault.hint or "")
+
+
+@pytest.mark.parametrize(
     ("effector", "root", "hint"),
     [
         ("hip_l", "ankle_l", "write effector: ankle_l, root: hip_l"),

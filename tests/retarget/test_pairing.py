@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from support.people import named, person
 
-from animtool.core.errors import FormatError, OptionError
+from animtool.core.errors import Fault, FormatError, OptionError
 from animtool.retarget import JointMap, map_joints, map_text
-from animtool.retarget.file import load_map
+from animtool.retarget.file import load_map, resolve_map
+from animtool.retarget.map_order import map_order_warnings
 from animtool.retarget.pairing import (
     _bone_length,
     _chain_fractions,
@@ -454,6 +455,34 @@ def test_a_copied_source_names_the_joint_that_is_left_out(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
+    ("joints", "found"),
+    [({"LeftArm": "thigh_l"}, 1), ({"LeftUpLeg": "hand_r", "Head": "head"}, 1),
+     ({"LeftArm": "upper_arm_l", "LeftUpLeg": "thigh_l"}, 0)],
+)  # fmt: skip
+def test_arms_that_follow_legs_are_named(
+    tmp_path: Path, joints: dict[str, str], found: int
+) -> None:
+    rigs = person(named("mixamo"))[0], person()[0]
+    entries = (f"{{source: {one}, target: {two}}}" for one, two in joints.items())
+    path = written(tmp_path, f"map: animtool/1\njoints: [{', '.join(entries)}]\n")
+    codes = [notice.code for notice in map_joints(*rigs, map_file=path).notices]
+    assert codes.count("MAP114") == found
+
+
+@pytest.mark.parametrize(
+    ("preset", "found"), [("mixamo", False), ("smpl", True), ("openpose_body25", True)]
+)
+def test_presets_of_other_names_are_warned_of(preset: str, found: bool) -> None:
+    rigs = person(named("mixamo"))[0], person()[0]
+    notices = map_joints(*rigs, preset=preset).notices
+    assert ("MAP113" in [notice.code for notice in notices]) == found
+    hints = [notice.hint for notice in notices if notice.code == "MAP113"]
+    assert (
+        hints == [f"write mixamo in place of {preset}, or leave the preset out"] * found
+    )
+
+
+@pytest.mark.parametrize(
     ("entries", "where"),
     [
         ("{source: [B, A], target: [a, b]}", ["joints[0].source"]),
@@ -480,3 +509,53 @@ def test_joints_of_a_map_against_the_hierarchy_are_named(
     found = [notice for notice in notices if notice.code == "MAP112"]
     assert [notice.where for notice in found] == where
     assert all(notice.lines == (2,) for notice in found)
+
+
+def chain_map(folder: Path, count: int, order: int) -> list[Fault]:
+    """Return MAP112 of a map from a chain of joints to another, in order or against."""
+    joints = [Joint(f"j{i}", i - 1, translation=(0.0, 1.0, 0.0)) for i in range(count)]
+    others = [replace(joint, name=joint.name.upper()) for joint in joints]
+    targets = list(range(count))[::order]
+    entries = (f"{{source: J{i}, target: j{k}}}" for i, k in enumerate(targets))
+    path = written(folder, f"map: animtool/1\njoints: [{', '.join(entries)}]\n")
+    rigs = Rig("take", tuple(others)), Rig("hero", tuple(joints))
+    notices = map_joints(*rigs, map_file=path).notices
+    return [notice for notice in notices if notice.code == "MAP112"]
+
+
+def test_entries_against_a_chain_are_paired_once(tmp_path: Path) -> None:
+    found = chain_map(tmp_path, 9, -1)
+    hints = [
+        f"exchange the sources of joints[{i}] and joints[{8 - i}]" for i in range(4)
+    ]
+    assert [notice.hint for notice in found] == hints
+    assert chain_map(tmp_path, 9, 1) == []
+
+
+def test_the_order_of_a_map_is_checked_in_time_that_grows_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = 0
+    upwards = Rig.upwards
+
+    def counted(rig: Rig, joint: int) -> list[int]:
+        nonlocal calls
+        calls += 1
+        return upwards(rig, joint)
+
+    counts = []
+    for count in (20, 40, 80):
+        joints = [Joint("a", -1), *(Joint(f"b{i}", 0) for i in range(count))]
+        rig = Rig("hero", tuple(joints))
+        entries = (f"{{source: b{i}, target: b{i}}}" for i in range(count))
+        path = written(tmp_path, f"map: animtool/1\njoints: [{', '.join(entries)}]\n")
+        file = load_map(path)
+        file_map = resolve_map(file, rig, rig)
+        calls = 0
+        with monkeypatch.context() as patch:
+            patch.setattr(Rig, "upwards", counted)
+            assert list(map_order_warnings(file, file_map, rig, rig)) == []
+        counts.append(calls)
+    assert counts[0] > 0
+    assert counts[1] <= 2.1 * counts[0]
+    assert counts[2] <= 2.1 * counts[1]

@@ -117,3 +117,16 @@ def test_commands_report_it_once(walk: Take, tmp_path: Path, factor: float) -> N
 def test_no_frames_and_one_frame(walk: Take) -> None:
     for count in (0, 1):
         assert root_warning(walk.rig, walk.motion.select(slice(0, count))) is None
+
+
+@pytest.mark.parametrize(
+    ("offset", "step", "found"),
+    [(1000.0, 0.0, True), (200.0, 0.0, False), (1000.0, 20.0, False)],
+)
+def test_roots_far_from_the_origin(
+    walk: Take, offset: float, step: float, found: bool
+) -> None:
+    roots = walk.motion.translations.dense()[:, 0]
+    roots[:, 2] += offset + step * np.arange(len(roots))
+    fault = problem(walk, roots)
+    assert (fault is not None and fault.code == "MOT223") == found

@@ -231,3 +231,16 @@ def test_who_lies_is_lowest_at_one_height(span: float, level: bool) -> None:
     rows[:, 1, 0] = 1.0
     rows[:, :, 1] = np.linspace(0, span / 0.8, 101)[:, None]
     assert _keeps_level(rows, UpAxis.Y) == level
+
+
+@pytest.mark.parametrize(("axis", "count"), [("Z", 1), ("Y", 0)])
+def test_a_stage_that_states_another_axis(
+    tmp_path: Path, root: Path, axis: str, count: int
+) -> None:
+    source, stage = root / "samples/walk/walk.bvh", tmp_path / "walk.usda"
+    assert animtool("bake", source, "-o", stage, "--range", "1-8").code == 0
+    text = stage.read_text("utf-8").replace('upAxis = "Y"', f'upAxis = "{axis}"')
+    stage.write_text(text, "utf-8")
+    done = animtool("bake", stage, "-o", tmp_path / "out.usda")
+    assert done.code == 0, done.stderr
+    assert done.stderr.count("MOT214") == done.stderr.count('set upAxis = "Y"') == count

@@ -58,7 +58,14 @@ def test_a_short_repr() -> None:
 
 @pytest.mark.parametrize(
     ("name", "joint"),
-    [("hand_l", "'wrist_l'"), ("LeftUpLeg", "'hip_l'"), ("tail", "hips, spine_1")],
+    [
+        ("hand_l", "'wrist_l'"),
+        ("hand", "'wrist_l', 'wrist_r'"),
+        ("pelvis", "'hips'"),
+        ("elbw_l", "did you mean 'elbow_l'"),
+        ("LeftUpLeg", "'hip_l'"),
+        ("tail", "hips, spine_1"),
+    ],
 )
 def test_a_name_of_a_part_of_the_body_finds_its_joint(name: str, joint: str) -> None:
     rig = Rig.load("rigs/biped/biped.rig.yaml")

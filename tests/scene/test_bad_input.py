@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from adapters.hard.scenes import GRAVITY, cloth, particles, rope, sheet
+from support.cli import animtool
+
+from animtool.validation.run import validate
 
 SPRING = """\
     method: euler
@@ -85,3 +90,48 @@ def test_a_collider_of_flat_triangles_is_refused() -> None:
         flat = np.outer(np.arange(3.0), [1, 0, 0])
         np.savez(folder.path / "m.npz", points=flat, triangles=[[0, 1, 2]])
         folder.refuses("SIM020", "area")
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "hint"),
+    [
+        ("output: {", "output: {overwrite: true, ", "commands: --overwrite"),
+        ("speed: 2", "factor: 2", "the key is 'speed'"),
+        ("take: b.bvh", "file: b.bvh", "the key is 'take'"),
+        ("forces: []", "gravity: [0, -9.81, 0]", "write forces: [{gravity: null}]"),
+    ],
+)
+def test_keys_of_other_places_say_where_they_belong(
+    tmp_path: Path, old: str, new: str, hint: str
+) -> None:
+    text = (
+        "scene: animtool/1\nsource: {file: a.bvh}\npasses:\n- time_scale: {speed: 2}\n"
+        "- layer: {take: b.bvh}\nsystems:\n- rigid: {name: a, bodies: [{name: b, "
+        "shape: {sphere: {radius: 1}}}], forces: []}\noutput: {file: o.usda}\n"
+    )
+    path = tmp_path / "a.scene.yaml"
+    assert old in text
+    path.write_text(text.replace(old, new), "utf-8")
+    hints = [fault.hint or "" for fault in validate(path)]
+    assert any(hint in one for one in hints), hints
+
+
+def test_springs_too_soft_for_their_load_are_told_from_long_steps(
+    tmp_path: Path,
+) -> None:
+    rope = (
+        "- rope: {from: [0, 3, 0], to: [0, 1, 0], count: 9, mass: 0.3, tip_mass: 5, "
+        "springs: {structural: {stiffness: K}}, pins: [{particles: [start]}], STEP}\n"
+    )
+    for stiffness, step, cause in (
+        ("3", "step: 0.004", "too soft"),
+        ("30000", "step: 0.04, solver: symplectic_euler", "stable with steps up to"),
+    ):
+        text = rope.replace("K", stiffness).replace("STEP", step)
+        path = tmp_path / "a.scene.yaml"
+        head = "scene: animtool/1\nfps: 24\nrange: [1, 48]\nsystems:\n"
+        path.write_text(f"{head}{text}output: {{file: a.usda}}\n", "utf-8")
+        done = animtool("bake", path, "--overwrite")
+        assert done.code == 4, done.stderr
+        assert "SIM102" in done.stderr
+        assert cause in done.stderr

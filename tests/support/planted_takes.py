@@ -431,6 +431,8 @@ TAKES = [
     Planted("Y up, stated as Z", "stride", up_z, "MOT214"),
     Planted("upside down", "walk", rolled(180.0), "MOT214"),
     Planted("quaternions with w last", "walk", with_w_last, "MOT222"),
+    Planted("the origin moved by a kilometre", "walk",
+            moved(lambda _t, _h: np.array([1000.0, 0.0, -300.0])), "MOT223"),
 ]  # fmt: skip
 
 TAKE_RULES = [rule for rule in builtin_rules().values() if rule.takes]

@@ -10,14 +10,13 @@ from annotated_types import Ge, Len
 
 from animtool.capture.face.model import FaceModel, NonlinearShapes
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.config import project_roots
 from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real
-from animtool.documents.references import resolve_input
+from animtool.documents.references import resolve_named_rig
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import Surface, SurfaceInbetween, SurfaceShape, surfaces_of
@@ -91,16 +90,23 @@ class LandmarksFile:
         return tuple(point.name for point in self.model.points)
 
 
-def load_landmarks(path: Path | str) -> LandmarksFile:
+def load_landmarks(path: Path | str, rig: Rig | None = None) -> LandmarksFile:
     """Read a landmarks file; its meshes and vertices are checked by `face_model`.
+
+    Args:
+        path: The file.
+        rig: Rig to use in place of the one it names, which may then be missing.
 
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
     """
-    return parse_landmarks(read_document(Path(path), "landmarks"))
+    document = read_document(Path(path), "landmarks")
+    return parse_landmarks(document, has_other_rig=rig is not None)
 
 
-def parse_landmarks(document: Document) -> LandmarksFile:
+def parse_landmarks(
+    document: Document, *, has_other_rig: bool = False
+) -> LandmarksFile:
     """Check a landmarks document: unique names, and vertices with weights (FAC008)."""
     model = validate_file(document, "landmarks", LandmarksModel)
     index_of_name: dict[str, int] = {}
@@ -123,10 +129,7 @@ def parse_landmarks(document: Document) -> LandmarksFile:
             elif abs(sum(point.weights) - 1) > WEIGHT_SUM_TOLERANCE:
                 message = f"the weights have a sum of {sum(point.weights):g}, not 1"
                 document.add("FAC008", (*location, "weights"), message)
-    rig = None
-    if model.rig is not None:
-        roots = project_roots(document.path)
-        rig = resolve_input(document, ("rig",), model.rig, roots)
+    rig = resolve_named_rig(document, model.rig, is_replaced=has_other_rig)
     document.check()
     return LandmarksFile(document, model, rig)
 

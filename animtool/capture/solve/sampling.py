@@ -178,5 +178,7 @@ def _column_medians(residuals: FloatArray) -> FloatArray:
 
 def _swapped_warning(message: str) -> Fault:
     """Return warning SOL109 with a hint to swap the names."""
-    hint = "exchange their names in the capture, or their entries in the template"
+    hint = "exchange their names in the capture, or their entries in the template; if "
+    hint += "one axis was negated or two exchanged, the capture is mirrored: export it "
+    hint += "again"
     return warning("SOL109", message, hint)

@@ -13,7 +13,7 @@ from animtool.capture.options import SolveOptions
 from animtool.capture.solve.run import MarkerSolve, solve_markers
 from animtool.capture.templates.file import load_template
 from animtool.capture.templates.template import MarkerTemplate
-from animtool.core.arguments import argument
+from animtool.core.arguments import argument, flag
 from animtool.core.errors import Fault, OptionError, Severity, counted, faults_in
 from animtool.core.units import LengthUnit, UpAxis, unit_name
 from animtool.formats.marker_files import open_markers
@@ -58,12 +58,14 @@ def open_markers_source(
         markers = triangulate_source(path, cameras, unit=unit, up=up, fps=fps)
     if template is None:
         message = "holds markers, but no template places them on the rig"
-        hint = f"name one with {argument('source.template')}, or as template: of a "
-        hint += "scene's source"
+        hint = f"to bake them, name one with {argument('source.template')}, or as "
+        hint += "template: of a scene's source"
         if cameras is None:
-            hint = f"animtool mocap solve {path} solves them with a template; {hint}"
+            command = f"animtool mocap solve {path} {flag('template', 'FILE')} -o "
+            command += f"{path.stem}.usdc"
+            hint = f"first make a take of them: {command}; {hint}"
         raise OptionError(Fault("SOL007", message, str(path), (), hint))
-    marker_template = load_template(template)
+    marker_template = load_template(template, rig)
     rig_path = rig_of_template(marker_template, rig, template)
     loaded_rig = at_origin(Rig.load(rig_path))
     with faults_in(path):

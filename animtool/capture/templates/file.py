@@ -10,7 +10,6 @@ from annotated_types import Len
 from pydantic import Field
 
 from animtool.capture.templates.template import MarkerTemplate, TemplateMarker
-from animtool.core.config import project_roots
 from animtool.core.errors import counted, listed
 from animtool.core.options import key
 from animtool.core.quantities import length_text
@@ -18,7 +17,7 @@ from animtool.core.units import LengthUnit, likely_unit
 from animtool.documents.check import FileModel, validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real, Vector
-from animtool.documents.references import resolve_input
+from animtool.documents.references import resolve_named_rig
 from animtool.rig.sides import pair_sides
 
 # Largest distance of a marker from its joint [m]; larger numbers mean another unit.
@@ -79,13 +78,18 @@ class MarkersModel(FileModel):
     )
 
 
-def load_template(path: Path | str) -> MarkerTemplate:
+def load_template(path: Path | str, rig: Path | None = None) -> MarkerTemplate:
     """Read a marker template; its joints are checked by `MarkerTemplate.joints`.
+
+    Args:
+        path: The file.
+        rig: Rig file to use in place of the one it names, which may then be missing.
 
     Raises:
         FormatError: The file cannot be read or is malformed; lists every fault.
     """
-    return parse_template(read_document(Path(path), "markers"))
+    document = read_document(Path(path), "markers")
+    return parse_template(document, has_other_rig=rig is not None)
 
 
 def _check_names(document: Document, model: MarkersModel) -> None:
@@ -120,7 +124,9 @@ def _check_names(document: Document, model: MarkersModel) -> None:
             index_of_alias.setdefault(alias, i)
 
 
-def parse_template(document: Document) -> MarkerTemplate:
+def parse_template(
+    document: Document, *, has_other_rig: bool = False
+) -> MarkerTemplate:
     """Convert a template document to a template with offsets in metres; check it."""
     model = validate_file(document, "markers", MarkersModel)
     meters_per_unit = LengthUnit(model.units.length).meters
@@ -141,10 +147,7 @@ def parse_template(document: Document) -> MarkerTemplate:
     if all(marker.weight == 0 for marker in model.marker_set):
         message = "every marker has weight 0"
         document.add("MKT004", ("marker_set",), message, "leave out some weights")
-    rig = None
-    if model.rig is not None:
-        roots = project_roots(document.path)
-        rig = resolve_input(document, ("rig",), model.rig, roots)
+    rig = resolve_named_rig(document, model.rig, is_replaced=has_other_rig)
     document.check()
     _warn_of_offsets(document, markers, LengthUnit(model.units.length))
     _warn_of_swapped_sides(document, markers)

@@ -10,7 +10,12 @@ from typing import Any
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import Key, inherits_docs, option
+from animtool.core.options import (
+    Key,
+    convert_option_values,
+    inherits_docs,
+    option,
+)
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, FrameRangeLike, OptionalRange, Shot
@@ -67,7 +72,6 @@ class BakeOptions:
     rig_layer: Path | None = option(
         None,
         "file",
-        label="a rig layer",
         not_for=("systems", "file"),
         common_key=Key(
             "The USD rig that a layer goes over, or a shot that contains it.",
@@ -106,7 +110,6 @@ class BakeOptions:
     placement: str | None = option(
         None,
         "choice",
-        label="placement",
         not_for=("systems",),
         common_key=Key(
             "Keep or drop the placement of a USD source's character, its position "
@@ -123,7 +126,6 @@ class BakeOptions:
     bones: bool = option(
         False,
         "switch",
-        label="bones",
         not_for=("systems", "library", "deform", "file"),
         layer_refusal=f"{argument('bones', True)} has no effect on a layer",
         common_key=Key("Add geometry that shows the joints.", True),
@@ -132,7 +134,7 @@ class BakeOptions:
     strip_namespace: int = option(
         0,
         "count",
-        not_for=("file",),
+        not_for=("systems", "file"),
         metavar="N",
         help="Drop the first N 'ns:' parts of joint names; 1 drops 'mixamorig:'.",
     )
@@ -140,7 +142,6 @@ class BakeOptions:
         None,
         "rest",
         flag="rest",
-        label="rest",
         not_for=("systems", "library", "deform", "file"),
         layer_refusal=f"{argument('rest_frame')} sets the rest pose of a skeleton, "
         "which a layer does not contain",
@@ -200,7 +201,6 @@ class BakeOptions:
     keep_samples: bool = option(
         False,
         "switch",
-        label="keep_samples",
         not_for=("systems", "file"),
         excludes={"samples": ""},
         help="Keep the source's own samples.",
@@ -224,7 +224,6 @@ class BakeOptions:
     root_motion: bool = option(
         False,
         "switch",
-        label="root_motion",
         not_for=("systems", "deform", "file"),
         choices=("joint", "skelroot"),
         help="What carries the root motion.  [default: joint]",
@@ -232,7 +231,6 @@ class BakeOptions:
     sparse: bool = option(
         False,
         "switch",
-        label="sparse",
         not_for=("systems", "deform", "file"),
         common_key=Key("Write only joints that leave their rest pose.", True),
         help="Write only joints that leave their rest pose.",
@@ -240,7 +238,6 @@ class BakeOptions:
     keep_curves: bool = option(
         False,
         "switch",
-        label="keep_curves",
         not_for=("systems", "deform", "file"),
         scene=Key(
             "For a clip: also write the curves of its controls as splines.", True
@@ -250,7 +247,6 @@ class BakeOptions:
     reduce: float | None = option(
         None,
         "length",
-        label="reduce",
         not_for=("systems", "deform", "file"),
         excludes={
             "samples": "",
@@ -281,7 +277,6 @@ class BakeOptions:
     deform: bool = option(
         False,
         "switch",
-        label="deform",
         not_for=("systems", "library", "file"),
         scene=Key(
             "Write the meshes deformed, as point caches, instead of a skinned "
@@ -346,7 +341,8 @@ class BakeOptions:
     overwrite: bool = option(False, "switch", help="Replace outputs that exist.")
 
     def __post_init__(self) -> None:
-        """Convert the rate and the start from numbers or text."""
+        """Convert rates, frames, units and lengths from numbers or text."""
+        convert_option_values(self)
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
         start: Any = self.start

@@ -77,7 +77,7 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     check_outline(outline)
     source_set, entries = outline.source_set, outline.outputs
     if outline.scene is not None and not outline.scene.sources:
-        return [_planned_systems(entry, outline.notices) for entry in entries]
+        return [plan_simulation(entry, outline.notices) for entry in entries]
     options = entries[0].options
     if len(entries) > 1:
         is_any_forced = any(entry.options.force_fit for entry in entries)
@@ -117,7 +117,7 @@ def planning_faults(outline: Outline, take: Take | None) -> list[Fault]:
         try:
             check_output_options(entry)
             if take is None:
-                _planned_systems(entry, [])
+                plan_simulation(entry, [])
             else:
                 _plan_output(outline.source_set.files, [TakeStream.of(take)], entry, [])
         except AnimtoolError as error:
@@ -219,7 +219,7 @@ def _with_other_takes(
     return replace(plan, other_takes=other_takes, names=names)
 
 
-def _planned_systems(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
+def plan_simulation(entry: OutputEntry, notices: list[Fault]) -> BakePlan:
     """Return the plan of an output with systems only, for a scene without a source."""
     from animtool.scene.systems.bake import plan_systems, unmoved_frames_warning
 
@@ -457,13 +457,19 @@ def _unwritten_meshes_note(
 
 
 def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:
-    """Warn if namespaces should be dropped but no joint has one (USD125)."""
+    """Warn if more namespaces should be dropped than any joint has (USD125)."""
     names = [name for stream in streams for name in stream.rig.names]
-    if not options.strip_namespace or not names or any(":" in name for name in names):
+    name = max(names, key=lambda name: name.count(":"), default="")
+    count, requested_count = name.count(":"), options.strip_namespace
+    if not names or count >= requested_count:
         return []
-    message = argument("strip_namespace", options.strip_namespace)
-    message += f" drops nothing: no joint has a namespace, such as {names[0]!r}"
+    message = argument("strip_namespace", requested_count)
+    message += f" drops nothing: no joint has a namespace, such as {name!r}"
     hint = "namespaces end in a colon, such as hero:Hips; remove the option"
+    if count:
+        message = f"{argument('strip_namespace', requested_count)} drops no more than "
+        message += f"{count}: no joint has more namespaces than {name!r}"
+        hint = f"write {argument('strip_namespace', count)}"
     return [warning("USD125", message, hint)]
 
 

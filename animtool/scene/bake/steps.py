@@ -21,6 +21,7 @@ from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, OutputEntry, check_outline
+from animtool.scene.bake.plan import plan_simulation
 from animtool.scene.bake.reading import layer_form
 from animtool.scene.file.entries import ScenePass, SceneProp, SceneSystem
 from animtool.scene.scene import Scene
@@ -205,6 +206,7 @@ def _simulated_steps(scene: Scene, outputs: Sequence[OutputEntry]) -> list[PlanS
     """Return the steps of a scene without a source."""
     steps = _system_steps(scene, outputs)
     for entry in outputs:
+        plan_simulation(entry, [])
         prims = listed(_system_names(entry))
         result_text = f"{LayerForm.STAGE} with {prims}, their points and velocities"
         steps.append(_written_step(entry, ["systems"], result_text, []))

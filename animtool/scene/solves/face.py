@@ -221,7 +221,7 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
 
 def _load_model(job: FaceJob, capture: FaceCapture, rig: Rig) -> FaceModel:
     if job.landmarks is not None:
-        return face_model(load_landmarks(job.landmarks), rig)
+        return face_model(load_landmarks(job.landmarks, rig), rig)
     if capture.model is None:
         message = "does not say where its landmarks are on the rig"
         hint = f"name a landmarks file with {argument('landmarks', 'FILE')}, or store "

@@ -27,6 +27,7 @@ from animtool.core.errors import (
 )
 from animtool.core.files.output import STDOUT, protect_inputs
 from animtool.core.names import has_kind_suffix
+from animtool.core.options import changed_options, option_marker
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.documents.ignore import without_accepted
@@ -174,6 +175,8 @@ class IkInputs:
 
 def open_ik(job: IkJob, *, progress: Progress = None) -> IkInputs:
     """Open the rig, the targets and the start poses of a job."""
+    if job.start is None:
+        _refuse_source_options(job.source)
     rig, notices = open_rig(job.rig)
     tracks = load_targets(job.targets, rig)
     notices = [*notices, *tracks.notices]
@@ -189,6 +192,20 @@ def open_ik(job: IkJob, *, progress: Progress = None) -> IkInputs:
     notices += take.notices
     only_index = frame_index(take, job.frame, job.start) if job.pose else None
     return IkInputs(tracks, take, False, only_index, notices)
+
+
+def _refuse_source_options(options: SourceOptions) -> None:
+    """Refuse options of a start take if there is none (CLI002)."""
+    start, hint = argument("start"), "remove it; a rig file has its own units and axis"
+    faults = [
+        Fault("CLI002", f"{name} describes {start}, and there is none", hint=hint)
+        for name in (
+            option_marker(f"source.{key}", option)
+            for key, option in changed_options(options).items()
+        )
+    ]
+    if faults:
+        raise OptionError(faults)
 
 
 def _outside_targets_warning(job: IkJob, tracks: TargetTracks) -> list[Fault]:

@@ -96,7 +96,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
     """Solve a capture on a rig and write the motion."""
     _check(job)
     solved_output = job.solved_output
-    template = load_template(job.template)
+    template = load_template(job.template, job.rig)
     rig_path = rig_of_template(template, job.rig, job.template)
     inputs = (job.source, job.template, rig_path, job.static, job.bake.rig_layer)
     solved_output.check(marker_file_path(path) for path in inputs if path is not None)

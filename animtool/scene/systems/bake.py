@@ -32,6 +32,7 @@ from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterRecorder
 from animtool.scene.systems.run import SystemRun, system_job
+from animtool.scene.systems.simulation import check_resumed_states
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.chunks import open_growing_layer, system_clip_files
 from animtool.usd.layers.jobs import LayerForm, RoundingError, UsdResult, WrittenTake
@@ -80,6 +81,8 @@ class SystemPrims:
         prims = self if self.recorder is None else self._with_take_codes(self.recorder)
         codes, job = prims.codes, prims.job
         recorder = self.recorder
+        if recorder is not None:
+            prims.check_resumed(codes[0], codes[-1])
         character = None if recorder is None else recorder.motion(self.scene.path)
         if character is not None and prims.start < self.start:
             delay = float((self.start - prims.start) / job.metadata.span.fps)
@@ -96,6 +99,11 @@ class SystemPrims:
         if plan.options.chunk is not None:
             frames.write_chunks(state.layer, plan.output, plan.options.chunk)
         state.deferred_frames = frames
+
+    def check_resumed(self, first: Fraction, last: Fraction | None) -> None:
+        """Refuse saved states that frames cannot continue (SIM035)."""
+        fps = self.job.metadata.span.fps
+        check_resumed_states(self.scene.systems, first, last, self.start, fps)
 
     def _with_take_codes(self, recorder: CharacterRecorder) -> SystemPrims:
         """Return a copy with the time codes and placement of the recorded take."""
@@ -219,7 +227,9 @@ def plan_systems(scene: Scene, options: BakeOptions) -> SystemPrims:
     span = FrameSpan(Fraction(frames.first), Fraction(frames.last), fps)
     metadata = StageMetadata(model.split("/")[1], span, unit, up_axis, options.shot)
     job = system_job(scene.systems, model, metadata, unit, up_axis)
-    return SystemPrims(scene, job, start, codes)
+    prims = SystemPrims(scene, job, start, codes)
+    prims.check_resumed(codes[0], codes[-1])
+    return prims
 
 
 def _start_code(scene: Scene, options: BakeOptions, frames: FrameRange) -> Fraction:
@@ -233,14 +243,16 @@ def _start_code(scene: Scene, options: BakeOptions, frames: FrameRange) -> Fract
 
 
 def unmoved_frames_warning(scene: Scene, options: BakeOptions) -> list[Fault]:
-    """Return a warning if all frames are before the simulation starts (SIM203)."""
+    """Return a warning if no frame is after the simulation starts (SIM203)."""
     frames = options.frame_range
     if frames is None:
         return []
     start, fps = _start_code(scene, options, frames), options.fps or DEFAULT_FPS
     prerolls = [float(system.setup.spec.preroll) for system in scene.systems]
-    seconds = float((frames.last - start) / fps)
-    if seconds >= -max(prerolls, default=0.0):
+    seconds = float((frames.last - start) / fps) + max(prerolls, default=0.0)
+    is_single = scene.bake.frame_range is not None and frames.first == frames.last
+    is_start = seconds == 0 and is_single and scene.bake.frame_range == frames
+    if seconds >= 0 and not is_start:
         return []
     frame_count = frames.last - frames.first + 1
     frames_text = f"frame {frames.first} is"
@@ -248,6 +260,10 @@ def unmoved_frames_warning(scene: Scene, options: BakeOptions) -> list[Fault]:
         frames_text = f"all frames, {frames.first} to {frames.last}, are"
     message = f"{frames_text} before the simulation starts, at frame "
     message += f"{frame_label(start)}: nothing moves"
+    if is_start:
+        message = f"{frames_text} the only frame, at which the simulation starts: "
+        message += "nothing has moved yet"
+        frame_count = ceil(fps)
     first = ceil(start)
     hint = argument("frame_range", f"{first}-{first + frame_count - 1}")
     location = next(
@@ -275,7 +291,7 @@ def _time_codes(
 def _refuse_character_options(scene: Scene, options: BakeOptions) -> None:
     """Refuse options that need a character (SCN062)."""
     refused_by_name = refused_options(options, "systems")
-    option_names = [option.label for option in refused_by_name.values()]
+    option_names = list(refused_by_name)
     if options.form in {LayerForm.SPLIT, LayerForm.LAYER, LayerForm.LIBRARY}:
         option_names.insert(options.rig_layer is not None, f"as: {options.form}")
     path = str(scene.path)
@@ -322,9 +338,15 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
         joint_map, path = plan.takes[0].joint_map, f"{model}/system"
         rig_from_take = None if joint_map is None else joint_map.rig_from_take
         placement_at = partial(parent_from_take, target, rig_from_take, path)
-    return SystemPrims(
+    prims = SystemPrims(
         scene, job, plan.start, recorder=recorder, placement_at=placement_at
     )
+    frames = plan.options.frame_range
+    if frames is not None:
+        prims.check_resumed(Fraction(frames.first), Fraction(frames.last))
+    elif plan.options.shot is None:
+        prims.check_resumed(plan.start, None)
+    return prims
 
 
 def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:

@@ -12,7 +12,6 @@ from typing import Any
 
 import numpy as np
 
-from animtool.core.arguments import argument
 from animtool.core.errors import (
     Fault,
     FormatError,
@@ -35,7 +34,7 @@ from animtool.scene.systems.simulation import (
     open_systems,
     state_clock,
 )
-from animtool.systems.framework.run import STEP_TOLERANCE, EntryRun, ReachedState
+from animtool.systems.framework.run import EntryRun, ReachedState
 from animtool.systems.framework.saved import write_states
 from animtool.systems.framework.simulation import NeedsFinalState
 from animtool.usd.caches.writer import CachedMesh
@@ -180,7 +179,6 @@ class SystemRun:
         reach; if that is the very first frame, the error is raised.
         """
         times = [float((code - start) / fps) for code in codes]
-        self._check_resumed(codes, times, fps)
         self._run_tear_pre_pass(times)
         show_progress = self._begin_phase(is_last=True)
         self._frame_progress = show_progress
@@ -203,28 +201,6 @@ class SystemRun:
             if show_progress is not None:
                 show_progress((k + 1) / len(codes))
         self._warn_of_save_frames()
-
-    def _check_resumed(
-        self, codes: Sequence[Fraction], times: Sequence[float], fps: Fraction
-    ) -> None:
-        """Refuse frames before the state that a system resumes (SIM035)."""
-        faults = []
-        for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
-            run = entry_run.run
-            resume_time = run.step_time(run.state.step_count)
-            tolerance = STEP_TOLERANCE * run.step_length
-            if run.state.step_count and times[0] < resume_time - tolerance:
-                frame = float(codes[0]) + (resume_time - times[0]) * float(fps)
-                # The last step may end a fraction of a frame before a saved frame.
-                saved_frame = math.ceil(frame - STEP_TOLERANCE)
-                message = f"its saved state starts at frame {saved_frame}, but frame "
-                message += f"{float(codes[0]):g} is requested"
-                frames = f"{saved_frame}-{float(codes[-1]):g}"
-                hint = f"request {argument('frame_range', frames)}, or remove resume "
-                hint += f"to simulate from frame {float(codes[0]):g}"
-                faults.append(system.location.fault("SIM035", message, hint))
-        if faults:
-            raise FormatError(faults)
 
     def _warn_of_save_frames(self) -> None:
         """Warn of states to save at frames outside the range (SIM185)."""

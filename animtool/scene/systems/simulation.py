@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import field, replace
+from fractions import Fraction
 from itertools import chain
 from pathlib import Path
 from typing import Any, cast
 
+from animtool.core.arguments import argument
 from animtool.core.errors import (
     AnimtoolError,
     Fault,
@@ -34,7 +37,7 @@ from animtool.scene.systems.surroundings import Surroundings
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.body_carriers import BodyCarrier
 from animtool.systems.framework.kinds import SYSTEM_KINDS
-from animtool.systems.framework.run import EntryRun, SimulationRun
+from animtool.systems.framework.run import STEP_TOLERANCE, EntryRun, SimulationRun
 from animtool.systems.framework.saved import StateClock, open_states
 from animtool.systems.framework.simulation import (
     ChecksResumedState,
@@ -119,14 +122,74 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
     """Restore the state that a system resumes into a run (SIM035)."""
     path = member.setup.resume
     assert path is not None
-    try:
+    with _located_at_resume(member, path):
         _restore_state(run, member, path)
+
+
+@contextmanager
+def _located_at_resume(member: SceneSystem, path: Path) -> Iterator[None]:
+    """Locate the faults of a file of states at the key of the system that names it."""
+    try:
+        yield
     except (FormatError, OptionError) as error:
         faults = [
             _at_resume(fault, path.name) if fault.path == str(path) else fault
             for fault in error.faults
         ]
         raise FormatError(list(map(member.location.locate, faults))) from error
+
+
+def check_resumed_states(
+    systems: Sequence[SceneSystem],
+    first: Fraction,
+    last: Fraction | None,
+    start: Fraction,
+    fps: Fraction,
+) -> None:
+    """Refuse states of other kinds, and frames before a state (SIM035).
+
+    The files are opened, but their states are not read.
+
+    Args:
+        systems: The systems of a scene.
+        first: First requested time code.
+        last: Last requested time code; None if unknown.
+        start: Time code at 0 s.
+        fps: Time codes in a second.
+    """
+    faults: list[Fault] = []
+    for system in systems:
+        path = system.setup.resume
+        if path is None:
+            continue
+        try:
+            with _located_at_resume(system, path):
+                with open_states(path) as saved_states:
+                    clock, step_count = saved_states.clock("", system.kind)
+                seconds = clock.begin + clock.step * (step_count - STEP_TOLERANCE)
+                # The last step may end a fraction of a frame before a saved frame.
+                saved_frame = math.ceil(start + Fraction(seconds) * fps)
+                if step_count and first < saved_frame:
+                    fault = _early_frame_fault(saved_frame, first, last)
+                    raise OptionError(fault.in_file(path))
+        except FormatError as error:
+            faults += error.faults
+    if faults:
+        raise FormatError(faults)
+
+
+def _early_frame_fault(
+    saved_frame: int, first: Fraction, last: Fraction | None
+) -> Fault:
+    """Return a fault of frames before a saved state."""
+    message = f"its state starts at frame {saved_frame}, but frame {float(first):g} "
+    message += "is requested"
+    request = f"frames from {saved_frame} on"
+    if last is not None:
+        request = argument("frame_range", f"{saved_frame}-{float(last):g}")
+    hint = f"request {request}, or remove resume to simulate from frame "
+    hint += f"{float(first):g}"
+    return Fault("SIM035", message, hint=hint)
 
 
 def _restore_state(run: SimulationRun, member: SceneSystem, path: Path) -> None:

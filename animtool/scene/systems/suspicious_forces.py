@@ -19,8 +19,8 @@ EARTH_GRAVITY, EARTH_TOLERANCE = 9.81, 0.03
 MIN_GRAVITY = 1.0
 # Cosine to an axis of a vector along it.
 ALIGNED_COSINE = 0.99
-# Faster than any storm, and than anything thrown or flying [m/s].
-MAX_WIND_SPEED = MAX_SPEED = 200.0
+# Faster than any hurricane, and than anything thrown or flying [m/s].
+MAX_WIND_SPEED, MAX_SPEED = 100.0, 200.0
 # A bullet is smaller, and faster [m³], [m/s].
 MAX_BULLET_VOLUME, MAX_BULLET_SPEED = 1e-4, 3000.0
 # A bird flies as fast as a swift [m/s], and sees what it passes in this time [s].
@@ -65,8 +65,11 @@ def warn_of_forces(
     for location, wind in _winds(entry_path, values):
         speed = math.hypot(*wind)
         if speed > MAX_WIND_SPEED:
-            message = f"a wind of {speed:g} m/s is faster than any storm"
-            document.warn("SIM200", location, message, _unit_hint(speed, unit))
+            message = f"a wind of {speed:g} m/s is faster than any hurricane"
+            hint = _unit_hint(speed, unit)
+            if unit == 1.0 and speed <= MAX_SPEED * KMH_PER_MPS:
+                hint = f"for {speed:g} km/h write {speed / KMH_PER_MPS:.3g}; {hint}"
+            document.warn("SIM200", location, message, hint)
             break
     for location, speed, limit, comparison in _speeds(entry_path, values, volume):
         if speed > limit:

@@ -5,14 +5,20 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-from animtool.core.quantities import MIN_SUSPECT_SECONDS, frames_hint, plain_number
+from animtool.core.quantities import (
+    MIN_SUSPECT_SECONDS,
+    MIN_SUSPECT_STEP,
+    frames_hint,
+    plain_number,
+    step_hint,
+)
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 
 # A whole number of seconds from which a duration may be one of frames [s].
 MIN_SUSPICIOUS_SECONDS = 20.0
-# Fewer steps a second are not meant by a step of so many seconds [s].
-MIN_STEPS = 10.0
+# No frame of a scene whose length is unknown lasts so long [s].
+MAX_FRAME_DURATION = 10.0
 # From so many picoseconds a second on, times may be picoseconds [ps/s].
 MIN_PACE = 2.0
 # Lists of rows that begin with a time, and keys of a time at which something begins.
@@ -55,13 +61,12 @@ class SceneTimes:
 def warn_of_times(
     document: Document, location: Location, values: Mapping[str, Any], times: SceneTimes
 ) -> None:
-    """Warn of durations and times that seem to be in frames (SIM200).
+    """Warn of durations and times that seem to be in frames (SIM109, SIM200).
 
     ``values`` are the stated keys of the system at a location.
     """
     _warn_of_durations(document, location, values, times)
-    if values.get("bodies"):
-        _warn_of_step(document, location, values.get("step"), times)
+    _warn_of_step(document, location, values.get("step"), times)
     if times.frames is None:
         return
     if _warn_of_picoseconds(document, location, values, times):
@@ -112,11 +117,14 @@ def _warn_of_picoseconds(
 def _warn_of_step(
     document: Document, location: Location, step: object, times: SceneTimes
 ) -> None:
-    """Warn of a step of rigid bodies that is likely a number of steps per second."""
-    if isinstance(step, int | float) and step >= max(MIN_STEPS, times.length):
-        message = f"step {step:g} is {step:g} s"
-        hint = f"for {step:g} steps a second write {plain_number(1 / step)}"
-        document.warn("SIM200", (*location, "step"), message, hint)
+    """Warn of a step longer than the scene, likely steps per second (SIM109)."""
+    scene_text = f"the scene of {plain_number(times.length)} s"
+    limit, limit_text = max(times.length, MIN_SUSPECT_STEP), scene_text
+    if not times.length:
+        limit, limit_text = MAX_FRAME_DURATION, "any frame"
+    if isinstance(step, int | float) and step > limit:
+        message = f"a step of {plain_number(step)} s is longer than {limit_text}"
+        document.warn("SIM109", (*location, "step"), message, step_hint(step))
 
 
 def stated_keys(

@@ -123,8 +123,12 @@ def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
         notices += _start_notices(actor) + _contact_warnings(actor)
         if isinstance(actor.body, ChainBody) and actor.body.has_free_tip:
             notices += _last_joint_notices(simulation, actor.body)
-        notices += piercing_notices(actor.grid.piercing, f"the cloth {name}")
-        if isinstance(actor.body, SurfaceBody):
+        is_surface = isinstance(actor.body, SurfaceBody)
+        is_intact = is_surface and not actor.meter.pierced.value
+        notices += piercing_notices(
+            actor.grid.piercing, f"the cloth {name}", is_intact=is_intact
+        )
+        if is_surface:
             notices += actor.meter.notices(name)
     if simulation.loop_closure is not None:
         names = listed([actor.body.name for actor in simulation.actors])

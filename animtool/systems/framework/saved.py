@@ -6,13 +6,13 @@ import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import Field, field, fields, is_dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, get_type_hints
 
 import numpy as np
 import numpy.typing as npt
 
-from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, FormatError, OptionError, listed
 from animtool.core.files.commit import output_error
 from animtool.core.files.output import replacement_path
@@ -87,26 +87,38 @@ class SavedStates:
         names = [name.rpartition("/") for name in self.archives.names(self.path)]
         return [prefix for prefix, _, key in names if key == "clock"]
 
+    def _mismatch(
+        self, name: str, message: str, hint: str | None = None
+    ) -> OptionError:
+        text = f"{name}: {message}" if name else message
+        return OptionError(Fault("SIM035", text, str(self.path), (), hint))
+
+    def clock(self, name: str, expected_kind: str) -> tuple[StateClock, int]:
+        """Return the clock of a saved state of a kind, and its number of steps."""
+        archives, path = self.archives, self.path
+        prefix = f"{name}/" if name else ""
+        if name and not archives.has(path, f"{prefix}kind"):
+            raise self._mismatch(name, "the state does not exist")
+        kind = archives.text(path, f"{prefix}kind")
+        if kind != expected_kind:
+            message = f"the state is of a system of {kind}, not of {expected_kind}"
+            hint = f"name a file that a system of {expected_kind} saves"
+            raise self._mismatch(name, message, hint)
+        row = archives.load(path, f"{prefix}clock")
+        if row.shape != (3,) or not 0 <= row[2] <= MAX_EXACT_INTEGER or row[2] % 1:
+            message = "its clock is not a start, a step and a count"
+            raise self._mismatch(name, message)
+        begin, step, count = row.tolist()
+        return StateClock(kind, begin, step), int(count)
+
     def read(
         self, name: str, expected_clock: StateClock, initial: ReachedState[Any]
     ) -> ReachedState[Any]:
         """Return a saved state that has the structure of an initial state."""
         archives, path = self.archives, self.path
         prefix = f"{name}/" if name else ""
-
-        def mismatch(message: str, hint: str | None = None) -> OptionError:
-            text = f"{name}: {message}" if name else message
-            return OptionError(Fault("SIM035", text, str(path), (), hint))
-
-        if name and not archives.has(path, f"{prefix}kind"):
-            raise mismatch("the state does not exist")
-        kind = archives.text(path, f"{prefix}kind")
-        if kind != expected_clock.kind:
-            expected_kind = expected_clock.kind
-            message = f"the state is of a system of {kind}, not of {expected_kind}"
-            hint = f"name a file that a system of {expected_kind} saves"
-            raise mismatch(message, hint)
-        saved_clock = archives.load(path, f"{prefix}clock")
+        mismatch = partial(self._mismatch, name)
+        saved_clock, step_count = self.clock(name, expected_clock.kind)
         clock_problem = _clock_problem(saved_clock, expected_clock)
         if clock_problem:
             raise mismatch(*clock_problem)
@@ -141,22 +153,16 @@ class SavedStates:
         try:
             arrays |= {key: expected_arrays[key] for key in missing_names}
             state = _restore(initial.state, arrays, metadata)
-            return ReachedState(int(saved_clock[2]), state)
+            return ReachedState(step_count, state)
         except TypeError as error:
             raise mismatch(f"its state has {saved_names}: {error}") from error
 
 
 def _clock_problem(
-    saved_clock: FloatArray, expected_clock: StateClock
+    saved_clock: StateClock, expected_clock: StateClock
 ) -> Sequence[str]:
     """Return why a saved clock does not match, and a hint; empty if it does."""
-    if (
-        saved_clock.shape != (3,)
-        or not 0 <= saved_clock[2] <= MAX_EXACT_INTEGER
-        or saved_clock[2] % 1
-    ):
-        return ["its clock is not a start, a step and a count"]
-    begin, step, _ = saved_clock.tolist()
+    begin, step = saved_clock.begin, saved_clock.step
     if math.isclose(begin, expected_clock.begin) and math.isclose(
         step, expected_clock.step
     ):

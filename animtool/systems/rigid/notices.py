@@ -13,6 +13,8 @@ from animtool.systems.rigid.shared import RigidState
 
 # Largest unreported penetration at the start, relative to the bounding radius [1].
 MAX_START_OVERLAP = 0.02
+# Bodies that overlap by more have sizes in another unit [m].
+MAX_PLAUSIBLE_OVERLAP = 5.0
 # Largest unreported penetration later, relative to the bounding radius [1].
 MAX_OVERLAP = 0.25
 
@@ -67,6 +69,8 @@ def depth_notices(
         hint = "leave a small gap between them at the start"
         if start_depth > bounding_radius:
             hint = "one is inside the other: move it out"
+        if start_depth > MAX_PLAUSIBLE_OVERLAP:
+            hint += "; are sizes and positions in the same unit?"
         yield warning("SIM126", message, hint)
     elif max_depth > MAX_OVERLAP * bounding_radius:
         message = f"{pair_text(0)} penetrated each other by up to "

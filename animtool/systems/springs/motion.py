@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, counted, warning
+from animtool.core.errors import Fault, Severity, counted, warning
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.sim.colliders.bodies import Wrenches
@@ -153,8 +153,16 @@ class SpringMotion(Trajectory):
     cut: int = 0
 
 
-def piercing_notices(piercing: Piercing, subject: str = "the surface") -> list[Fault]:
-    """Return warnings about self-piercing of a surface (SIM144, SIM165, SIM167)."""
+def piercing_notices(
+    piercing: Piercing, subject: str = "the surface", *, is_intact: bool = False
+) -> list[Fault]:
+    """Return warnings about self-piercing of a surface (SIM144, SIM165, SIM167).
+
+    Args:
+        piercing: Counts over time.
+        subject: Name of the surface.
+        is_intact: Whether nothing intersected in any frame: then fast parts are a note.
+    """
     notices = []
     thickness_hint = "use a shorter step, or a larger thickness"
     if piercing.passed:
@@ -172,5 +180,9 @@ def piercing_notices(piercing: Piercing, subject: str = "the surface") -> list[F
             hint = "no step resolves it: check speeds, lengths and their units"
         elif math.isfinite(piercing.rate):
             hint = f"{math.ceil(piercing.rate)} steps per second resolve all contacts"
-        notices.append(warning("SIM165", message, hint))
+        notice = warning("SIM165", message, hint)
+        if is_intact and not notices:
+            message += ", but nothing intersects in any frame"
+            notice = replace(notice, message=message, severity=Severity.NOTE)
+        notices.append(notice)
     return notices

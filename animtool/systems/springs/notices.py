@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from animtool.core.errors import (
     Fault,
     Severity,
@@ -40,6 +42,7 @@ class MotionCounts:
         longest: Longest xpbd spring relative to its rest length.
         min_applied_fraction: Smallest applied fraction of an impulse on a body.
         max_substeps: Most steps in a cell so far.
+        views: A `SpringView` for each entry of a scene.
     """
 
     unsolved_grid: TimeGrid | None = None
@@ -49,6 +52,7 @@ class MotionCounts:
         self.plan, self.grid = plan, start_grid
         self.system, self.options, self.choice = plan.system, plan.options, plan.choice
         self.max_substeps = start_grid.state.substeps
+        self.views = list[Any]()
 
     @property
     def is_auto(self) -> bool:
@@ -64,6 +68,11 @@ class MotionCounts:
     def shortest_step(self) -> float:
         """Shortest step taken so far [s]."""
         return self.grid.cell / self.max_substeps
+
+    @property
+    def is_intact(self) -> bool:
+        """Whether surfaces were measured, and nothing intersected in any frame."""
+        return bool(self.views) and all(view.is_intact for view in self.views)
 
 
 def motion_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
@@ -86,7 +95,8 @@ def motion_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
         message += f"{fraction} of the push acts, to keep it stable"
         hint = "give the body more mass, or less to what rests on it"
         notices.append(warning("SIM135", message, hint))
-    return notices + piercing_notices(simulation.grid.piercing)
+    piercing, is_intact = simulation.grid.piercing, simulation.is_intact
+    return notices + piercing_notices(piercing, is_intact=is_intact)
 
 
 def _step_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
@@ -100,6 +110,11 @@ def _step_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
         hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
+        if choice.solver is Solver.SYMPLECTIC_EULER and h <= limit:
+            hint = (
+                "the steps are short enough: springs are too soft for the load; raise "
+            )
+            hint += "their stiffness, or lower the masses"
         if simulation.grid.unresolved_count:
             hint = "colliders push it from inside; see SIM123"
         notices.append(warning("SIM102", message, hint))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -70,7 +69,6 @@ class SpringSimulation(MotionCounts):
         self.begin, self.last, self.clock = start_grid.origin, last_time, clock
         self.step_length = start_grid.cell
         self._start, self.wrenches = start_grid, list[Wrenches]()
-        self.views = list[Any]()  # a `SpringView` for each entry
         self._start_notices = [] if start_grid.index else self.system.notices()
         # Pushed bodies react before the next cell.
         is_coupled = self.system.colliders.bodies or self.system.coupling is not None
@@ -154,6 +152,9 @@ class SpringSimulation(MotionCounts):
 
     def incompatibility(self, state: SpringState, t: float) -> str:
         """Return why kernels cannot resume from a state; empty if they can."""
+        before, shape = state.before, state.motion.shape
+        if before is not None and before.shape != shape:
+            return f"before has shape {before.shape}, but motion {shape}"
         try:
             self.plan.advance(self._grid_at(state, t), 0)
         except ValueError as error:

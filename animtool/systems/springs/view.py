@@ -178,6 +178,13 @@ class SpringView:
             )
 
     @property
+    def is_intact(self) -> bool:
+        """Whether its surface was measured, and nothing intersected it in any frame."""
+        if not isinstance(self.body.shape, FaceShape):
+            return True
+        return self._measured_surface is not None and not self._meter.pierced.value
+
+    @property
     def body(self) -> Any:
         """Particles, springs and display shape of the entry."""
         return self.member.record.body

@@ -242,6 +242,16 @@ def swapped_quaternions(subject: MotionSubject) -> Iterator[Fault]:
         yield subject.fault("MOT222", None, None, order.message, ORDER_HINT)
 
 
+def far_root(subject: MotionSubject) -> Iterator[Fault]:
+    """Yield a fault if the root stays far from the origin (MOT223)."""
+    rig = subject.take.rig
+    is_reported = any(notice.code == "MOT223" for notice in subject.take.notices)
+    problem = root_warning(rig, subject.take.motion) if subject.has_rest else None
+    if problem is not None and problem.code == "MOT223" and not is_reported:
+        message, hint = problem.message, problem.hint
+        yield subject.fault("MOT223", int(rig.roots[0]), 0, message, hint or "")
+
+
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the body is upright along an axis that is not up (MOT214)."""
     rig, stance = subject.take.rig, tilted_stance(subject)

@@ -239,6 +239,7 @@ def test_a_scene_has_systems_or_a_source(tmp_path: Path) -> None:
     "options",
     [
         BakeOptions(bones=True),
+        BakeOptions(strip_namespace=1),
         BakeOptions(reduce=0.1),
         BakeOptions(form="split"),
         BakeOptions(source=SourceOptions(unit=LengthUnit.CM)),

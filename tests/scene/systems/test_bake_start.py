@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -70,6 +71,20 @@ def test_frames_that_are_all_before_0_s(
     done = animtool("bake", scene, "-o", tmp_path / "a.usda", *options)
     assert done.code == 0, done.stderr
     assert done.stderr.count("SIM203") == count
+
+
+@pytest.mark.parametrize(
+    ("frames", "preroll", "count"),
+    [("[1, 1]", 0, 1), ("[1, 1]", 1, 0), ("[1, 2]", 0, 0)],
+)
+def test_a_scene_of_the_first_frame_alone(
+    tmp_path: Path, frames: str, preroll: int, count: int
+) -> None:
+    scene = tmp_path / "e.scene.yaml"
+    text = SCENE.replace("name: embers", f"name: embers\n    preroll: {preroll}")
+    text = re.sub("range: .*", f"range: {frames}", text)
+    scene.write_text(f"{text}output: {{file: a.usda}}\n")
+    assert animtool("validate", scene).stdout.count("SIM203") == count
 
 
 @pytest.mark.slow

@@ -18,6 +18,7 @@ from animtool.core.errors import FormatError
 from animtool.scene.systems.simulation import open_systems, state_clock
 from animtool.systems.framework.run import SimulationRun
 from animtool.systems.framework.saved import write_states
+from animtool.validation.run import validate
 
 SCENE = """\
 scene: animtool/1
@@ -99,8 +100,12 @@ def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
     assert bake(tmp_path, "one", "save: half.npz\n    save_at: 7").code == 0
     done = bake(tmp_path, "two", "resume: half.npz")
     assert done.code == 3
-    assert "SIM035 systems[0].flocks: its saved state starts at frame 7" in done.stderr
+    fault = "SIM035 systems[0].flocks.resume: 'half.npz': its state starts at frame 7"
+    assert fault in done.stderr
     assert "--range 7-12" in done.stderr
+    assert animtool("bake", tmp_path / "two.scene.yaml", "--plan").stderr == done.stderr
+    (found,) = validate(tmp_path / "two.scene.yaml")
+    assert (found.code, found.where) == ("SIM035", "systems[0].flocks.resume")
 
 
 def test_a_state_between_frames_names_the_frame_that_was_asked_for(
@@ -110,7 +115,7 @@ def test_a_state_between_frames_names_the_frame_that_was_asked_for(
     assert bake(tmp_path, "one", given).code == 0
     done = bake(tmp_path, "two", "resume: half.npz\n    step: 0.013")
     assert done.code == 3
-    assert "its saved state starts at frame 7, but frame 1" in done.stderr
+    assert "its state starts at frame 7, but frame 1" in done.stderr
     assert "--range 7-12" in done.stderr
 
 
@@ -153,7 +158,7 @@ def test_a_state_of_another_system_is_refused(tmp_path: Path, case: str) -> None
     assert bake(tmp_path, "one", "save: half.npz\n    save_at: 7").code == 0
     other(tmp_path / "half.npz", **changes)
     done = bake(tmp_path, "two", "resume: half.npz", "--range", "7-12")
-    assert done.code in {2, 3}
+    assert done.code == 3
     assert "SIM035" in done.stderr
     assert word in done.stderr
     assert not (tmp_path / "two.usdc").exists()
@@ -260,7 +265,7 @@ ROPE = {
 SPRINGS = {
     "a state before of another shape": (
         {"state/before": np.zeros((2, 3, 3))},
-        "earlier_state",
+        "before has shape (2, 3, 3), but motion (2, 5, 3)",
     ),
     "no step": ({"state/substeps": np.array(0)}, "substeps"),
     "steps beyond bounds": ({"state/substeps": np.array(2**60)}, "out of bounds"),

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from support.beasts import write_beast
+from support.cli import animtool
 
 from animtool.core.errors import Fault
 from animtool.validation.run import validate
@@ -68,8 +69,6 @@ def codes(folder: Path, systems: str, head: str = "") -> list[str]:
         (BALL, "mass: 1.5", "mass: 1500", True),
         (BALL, "mass: 1.5", "mass: 90", False),
         (BOX, "mass: 1.5", "density: 2.7", True),
-        (BOX, "name: crates", "name: crates\n    step: 240", True),
-        (BOX, "name: crates", "name: crates\n    step: 0.01", False),
         (BOX, "mass: 1.5", "density: 20", False),  # foam
         (BOX, "mass: 1.5", "mass: 1.5, friction: 60", True),
         (BOX, "mass: 1.5", "mass: 1.5, friction: 1.5", False),
@@ -92,6 +91,28 @@ DUST = """\
     preroll: 1
     emitters: [{rate: 1, speed: 1, lifetime: 1, spread: 20}]
 """
+
+
+@pytest.mark.parametrize("system", [DUST, BOX, FLUID])
+@pytest.mark.parametrize(
+    ("step", "last", "found"),
+    [
+        (20, 97, True),
+        (3.5, 97, False),
+        (4.5, 97, True),
+        (1, 2, False),
+        (20, 481, False),
+    ],
+)
+def test_steps_longer_than_the_scene(
+    system: str, step: float, last: int, found: bool, tmp_path: Path
+) -> None:
+    text = system.replace(":\n", f":\n    step: {step}\n", 1)
+    steps = [one for one in notices(tmp_path, text, last=last) if one.code == "SIM109"]
+    assert len(steps) == found
+    assert all((one.where or "").endswith(".step") for one in steps)
+    plan = animtool("bake", tmp_path / "a.scene.yaml", "--plan")
+    assert ("SIM109" in plan.stderr) == found
 
 
 @pytest.mark.parametrize(
@@ -304,6 +325,7 @@ BULLET = """\
         ("gravity: {acceleration: [0, -6.9, -6.9]}", False),
         ("wind: {velocity: [6000, 0, 0], drag: 0.01}", True),
         ("wind: {velocity: [90, 0, 0], drag: 0.01}", False),  # a hurricane
+        ("wind: {velocity: [120, 0, 0], drag: 0.01}", True),  # in km/h
         ("uniform: {push: [0, -98.1, 0]}", True),
         ("uniform: {push: [0, -0.0981, 0]}", False),
         ("turbulence: {strength: 700}", True),

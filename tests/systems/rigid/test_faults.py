@@ -406,3 +406,13 @@ def test_copies_that_stand_still_are_no_fault(tmp_path: Path) -> None:
     wall = box((1, 1, 1), at=[9, 0, 0], kinematic=True)
     found = Rigid(tmp_path, ball(1), wall, wall | {"name": "copy"}, forces=[])
     assert not warned(found, "SIM126")
+
+
+@pytest.mark.parametrize(("radius", "asks"), [(1.0, False), (24.0, True)])
+def test_bodies_far_inside_others_ask_for_the_unit(
+    tmp_path: Path, radius: float, asks: bool
+) -> None:
+    found = Rigid(tmp_path, ball(radius, at=[0, 0.5 * radius, 0]), colliders=[FLOOR])
+    assert warned(found, "SIM126")
+    (hint,) = (fault.hint for fault in found.run.notices if fault.code == "SIM126")
+    assert ("same unit" in (hint or "")) == asks

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -11,10 +12,12 @@ import numpy as np
 import pytest
 from fuzz.targets.springs import _COMMON as COMMON
 from fuzz.targets.springs import _SYSTEMS as SYSTEMS
+from support.simulated import Simulator
 
-from animtool.core.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError, Severity
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems.simulation import open_systems
+from animtool.systems.framework.meter import PeakValue
 from animtool.systems.springs.motion import Piercing, piercing_notices
 
 
@@ -92,5 +95,32 @@ def test_numbers_within_bounds_come_to_numbers(
 
 def test_surfaces_that_went_on_without_end_have_a_hint() -> None:
     (notice,) = piercing_notices(Piercing(rate=float("inf")))
-    assert notice.code == "SIM165"
+    assert (notice.code, notice.severity) == ("SIM165", Severity.WARNING)
     assert "shorter" in (notice.hint or "")
+
+
+def test_fast_surfaces_that_nothing_pierces_are_a_note() -> None:
+    (notice,) = piercing_notices(Piercing(rate=900.0), is_intact=True)
+    assert (notice.code, notice.severity) == ("SIM165", Severity.NOTE)
+    passed = piercing_notices(Piercing(passed=1, rate=900.0), is_intact=True)
+    assert [one.severity for one in passed] == 2 * [Severity.WARNING]
+
+
+@pytest.mark.parametrize(("pierced", "severity"), [(0.0, "note"), (2.0, "warning")])
+def test_fast_cloth_is_judged_by_the_frames_of_a_scene(
+    tmp_path: Path, pierced: float, severity: str
+) -> None:
+    cloth = {
+        **{"mass": 0.1, "corner": [0, 1, 0], "across": [0.4, 0, 0], "up": [0, 0, 0.4]},
+        **{"resolution": [5, 5], "springs": {"structural": {"stiffness": 50}}},
+        **{"self_contact": {"thickness": 0.04}, "solver": "xpbd"},
+    }
+    (system,) = Simulator(tmp_path).scene([{"cloth": cloth}]).systems
+    (entry,) = open_systems([system], 0.1)
+    entry.at(0.0)
+    simulation: Any = entry.run.simulation
+    simulation.grid = replace(simulation.grid, piercing=Piercing(rate=900.0))
+    (view,) = simulation.views
+    view._meter.pierced = PeakValue(pierced)
+    (notice,) = (one for one in simulation.notices if one.code == "SIM165")
+    assert str(notice.severity) == severity
