@@ -28,6 +28,14 @@ constexpr int MAX_COLLIDER_ITERATIONS = 3;
 constexpr std::size_t IMPULSE_WIDTH = 7;
 // Factor of the radius for edge midpoints, which cut corners.
 constexpr double MIDPOINT_FACTOR = 0.25;
+// Points of moving meshes are fine if their radius of curvature plus the contact distance is below
+// this fraction of the longest edge: they fit between particles and midpoints. Factor of the
+// contact distance for triangles; and the size of groups of fine points [longest edge].
+constexpr double FINE_RADIUS_FRACTION = 0.35, FINE_POINT_FACTOR = 0.5, FINE_GROUP_SIZE = 1;
+// Safety factor of the distance that a triangle moves in an interval.
+constexpr double FINE_REACH = 1.5;
+// Largest number of fine points of a group that a triangle collides with in a step.
+constexpr int MAX_FINE_POINTS = 3;
 // Smallest initial slack of mesh caches, over the size of the mesh.
 constexpr double MIN_SLACK_RATIO = 1e-3;
 // Factor of the initial slack: with a large slack, a fine mesh has too many triangles nearby.
@@ -206,8 +214,13 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
   const std::size_t particles =
       network.particle_count() + (has_midpoints ? network.edges.size() / 2 : 0);
   for (std::size_t c = 0; c < collider_count_; ++c) faces_.add(colliders_[c]);
-  for (const SpringSurface& surface : std::get<5>(*colliders))
+  for (const SpringSurface& surface : std::get<5>(*colliders)) {
     surfaces_.emplace_back(surface, interval_count);
+    if (has_midpoints)
+      surfaces_.back().find_fine_points(FINE_RADIUS_FRACTION * network.longest_edge -
+                                            colliders_.radius() - surfaces_.back().margin(),
+                                        FINE_GROUP_SIZE * network.longest_edge);
+  }
   collider_count_ += surfaces_.size();
   build_patches(particles);
   past_impulses_.assign(IMPULSE_WIDTH * colliders_.size(), 0.0);
@@ -333,6 +346,10 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
   }
   if (has_midpoints_)
     resolve_midpoints(max_displacement, max_angle, {before, x, v}, particle_marks);
+  if (has_midpoints_) {
+    if (step == 0 && !particle_marks) list_fine_triangles({before, x, v});
+    resolve_fine_points({before, x, v}, particle_marks);
+  }
   touched_count = std::max(touched_count, moved_count);
   if (!particle_marks && last_interval_ + 1 == interval_count_ && step + 1 == substeps_)
     unresolved_count = inside_count;
@@ -380,6 +397,133 @@ void SpringContacts::resolve_midpoints(double max_displacement, double max_angle
     store(load(p_before) + start_shift * p_inverse_mass, p_before),
         store(load(q_before) + start_shift * q_inverse_mass, q_before);
   }
+}
+
+void SpringContacts::list_fine_triangles(const StepState& state) {
+  fine_triangles_.clear();
+  if (std::all_of(surfaces_.begin(), surfaces_.end(),
+                  [](const MovingSurface& surface) { return surface.fine_nodes().empty(); }))
+    return;
+  for (std::size_t k = 0; k < network_.triangles.size(); k += 3) {
+    const std::int32_t* corners = &network_.triangles[k];
+    double travel = 0;
+    for (const std::int32_t* n = corners; n < corners + 3; ++n)
+      travel = std::max(travel, length(shapes::position_of(state.x.data(), *n) -
+                                       shapes::position_of(state.before.data(), *n)));
+    const double reach = FINE_REACH * (substeps_ * travel + network_.longest_edge / 8);
+    const shapes::Triangle triangle(corners, state.x.data());
+    const Vec low = collide::min_of(collide::min_of(triangle.a, triangle.b), triangle.c),
+              high = collide::max_of(collide::max_of(triangle.a, triangle.b), triangle.c);
+    for (std::size_t s = 0; s < surfaces_.size(); ++s) {
+      const std::size_t c = colliders_.size() + s;
+      for (const std::int32_t node : surfaces_[s].fine_nodes()) {
+        const double* box = surfaces_[s].box() + 6 * node;
+        if (collide::boxes_overlap(low, high, load(box), load(box + 3),
+                                   reach + contact_distances_[c]))
+          fine_triangles_.push_back({k, c, node});
+      }
+    }
+  }
+}
+
+void SpringContacts::resolve_fine_points(StepState state,
+                                         std::vector<std::uint8_t>* particle_marks) {
+  for (const FineTriangle& fine : fine_triangles_) {
+    const std::int32_t* corners = &network_.triangles[fine.corner];
+    if (particle_marks && std::none_of(corners, corners + 3, [&](std::int32_t n) {
+          return (*particle_marks)[static_cast<std::size_t>(n)];
+        }))
+      continue;
+    for (int count = 0; count < MAX_FINE_POINTS; ++count) {
+      Vec nearest_point;
+      if (!find_fine_point(fine, shapes::Triangle(corners, state.x.data()), nearest_point) ||
+          !resolve_triangle_point(fine.collider, corners, nearest_point, state, particle_marks))
+        break;
+    }
+  }
+}
+
+bool SpringContacts::find_fine_point(const FineTriangle& fine, const shapes::Triangle& triangle,
+                                     Vec& nearest_point) const {
+  const MovingSurface& surface = surfaces_[fine.collider - colliders_.size()];
+  const Mesh mesh = mesh_at(step_colliders_[fine.collider], true);
+  const double max_distance = contact_distances_[fine.collider];
+  const Vec normal = triangle.normal(), centre = (triangle.a + triangle.b + triangle.c) * (1.0 / 3),
+            low = collide::min_of(collide::min_of(triangle.a, triangle.b), triangle.c),
+            high = collide::max_of(collide::max_of(triangle.a, triangle.b), triangle.c);
+  const auto may_touch = [&](Vec box_low, Vec box_high) {
+    if (!collide::boxes_overlap(low, high, box_low, box_high, max_distance)) return false;
+    const Vec offset = (box_low + box_high) * 0.5 - centre, extent = (box_high - box_low) * 0.5;
+    return std::abs(dot(offset, normal)) <=
+           max_distance + std::abs(extent.x * normal.x) + std::abs(extent.y * normal.y) +
+               std::abs(extent.z * normal.z);
+  };
+  double nearest_distance = max_distance;
+  collide::visit_boxes(
+      mesh, fine.node, 0,
+      [&](std::int32_t node) {
+        const double* box = mesh.bounds + 6 * node;
+        return may_touch(load(box), load(box + 3)) ? 0 : collide::INF;
+      },
+      [&](std::int32_t t) {
+        for (const std::int32_t* p = mesh.triangles + 3 * t; p < mesh.triangles + 3 * t + 3; ++p) {
+          if (!surface.is_fine(*p)) continue;
+          const Vec point = mesh.point(*p);
+          if (!may_touch(point, point)) continue;
+          const double distance = triangle.distance(point);
+          if (distance < nearest_distance) nearest_distance = distance, nearest_point = point;
+        }
+        return 0;
+      });
+  return nearest_distance < max_distance;
+}
+
+bool SpringContacts::resolve_triangle_point(std::size_t c, const std::int32_t* corners, Vec nearby,
+                                            StepState& state,
+                                            std::vector<std::uint8_t>* particle_marks) {
+  const StepCollider& collider = step_colliders_[c];
+  const double distance = contact_distances_[c];
+  const shapes::Nearest nearest = shapes::Triangle(corners, state.x.data()).nearest(nearby);
+  Vec from, to;
+  double weights[3], total_weight = 0, allowed_depth = 0;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto n = static_cast<std::size_t>(corners[k]);
+    weights[k] = -nearest.coefficients[k + 1];
+    from = from + load(&state.before[PARTICLE_STRIDE * n]) * weights[k];
+    to = to + load(&state.x[PARTICLE_STRIDE * n]) * weights[k];
+    total_weight += network_.inverse_masses[n] * weights[k] * weights[k];
+    allowed_depth = std::min(allowed_depth, colliders_.depth(c, n));
+  }
+  if (!(total_weight > 0)) return false;
+  allowed_depth -= distance * (1 - FINE_POINT_FACTOR);
+  const auto sample_at = [&](Vec point, bool is_at_end) {
+    const Mesh mesh = mesh_at(collider, is_at_end);
+    const collide::Nearest hit = collide::nearest_on_mesh(mesh, 0, point, collide::INF);
+    Sample sample = collide::sample_nearest(mesh, hit, point);
+    sample.distance -= distance;
+    return PatchHit{sample, hit.triangle};
+  };
+  const PatchHit hit = sample_at(to, true);
+  if (!(hit.sample.distance < allowed_depth - collide::TOUCH_DISTANCE)) return false;
+  MovingCapsule capsule = collider.capsule;
+  store(surface_displacement(collider, hit, true, to), capsule.translation);
+  Vec pushed = to, reference = from;
+  if (!collide::push_out(capsule, {hit.sample.distance, hit.sample.normal},
+                         sample_at(from, false).sample.distance, allowed_depth, from, pushed,
+                         reference))
+    return false;
+  const Vec end_shift = (pushed - to) * (1 / total_weight),
+            start_shift = (reference - from) * (1 / total_weight);
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto n = static_cast<std::size_t>(corners[k]);
+    const double weight = network_.inverse_masses[n] * weights[k];
+    double *p = &state.x[PARTICLE_STRIDE * n], *p_before = &state.before[PARTICLE_STRIDE * n];
+    store(load(p) + end_shift * weight, p);
+    store(load(p_before) + start_shift * weight, p_before);
+    clearances_[n] -= weight * length(end_shift);
+    if (particle_marks) (*particle_marks)[n] = 1;
+  }
+  return true;
 }
 
 double SpringContacts::depth(std::size_t c, std::size_t n) const {

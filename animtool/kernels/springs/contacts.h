@@ -125,6 +125,22 @@ class SpringContacts {
   // Collides the midpoints of edges, given the largest displacement and rotation of colliders.
   void resolve_midpoints(double max_displacement, double max_angle, StepState state,
                          std::vector<std::uint8_t>* particle_marks);
+  // A triangle, the collider of a moving mesh, and a node of it with fine points.
+  struct FineTriangle {
+    std::size_t corner, collider;
+    std::int32_t node;
+  };
+
+  // Lists the triangles that fine points of moving meshes may touch in the interval.
+  void list_fine_triangles(const StepState& state);
+  // Collides the points of triangles that are nearest to fine points of moving meshes.
+  void resolve_fine_points(StepState state, std::vector<std::uint8_t>* particle_marks);
+  // The fine point nearest to a triangle; false if none is within the contact distance.
+  bool find_fine_point(const FineTriangle& fine, const shapes::Triangle& triangle,
+                       collide::Vec& nearest_point) const;
+  // Collides the point of a triangle that is nearest to a point; returns whether it moved.
+  bool resolve_triangle_point(std::size_t c, const std::int32_t* corners, collide::Vec nearby,
+                              StepState& state, std::vector<std::uint8_t>* particle_marks);
   // Allowed depth of a particle, or of a midpoint, in a collider.
   double depth(std::size_t c, std::size_t n) const;
   // Resolves all contacts of a particle and updates its clearance; returns whether it moved.
@@ -154,6 +170,7 @@ class SpringContacts {
   std::vector<std::int32_t>
       particles_near_colliders_;  // particles whose edges may touch colliders in this step
   std::vector<MovingSurface> surfaces_;
+  std::vector<FineTriangle> fine_triangles_;
   std::size_t collider_count_;
   std::int64_t interval_count_;
   bool has_midpoints_;

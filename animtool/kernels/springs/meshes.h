@@ -135,6 +135,11 @@ class MovingSurface {
   // The box of all triangles.
   const double* box() const { return bounds_.data(); }
   double margin() const { return settings_[2]; }
+  // Marks points whose radius of curvature is below a limit, and finds the largest nodes below a
+  // size that contain any.
+  void find_fine_points(double max_radius, double max_size);
+  bool is_fine(std::int32_t point) const { return is_fine_[static_cast<std::size_t>(point)]; }
+  const std::vector<std::int32_t>& fine_nodes() const { return fine_nodes_; }
   // Displacement of the point of a triangle nearest to p, in the knot interval.
   collide::Vec surface_shift(const collide::Mesh& mesh, std::int32_t triangle,
                              collide::Vec p) const;
@@ -142,6 +147,8 @@ class MovingSurface {
  private:
   void measure_motion(const double* begin, const double* end);
 
+  std::vector<std::uint8_t> is_fine_;
+  std::vector<std::int32_t> fine_nodes_;
   const MeshSurface* surface_;
   In<double, 3> points_;
   std::array<double, 5> settings_;
