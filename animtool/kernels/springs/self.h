@@ -23,8 +23,9 @@ using IntersectionCounts = std::tuple<std::int64_t, std::int64_t, double>;
 // Resolves self-contacts of a surface over the steps of a run: particles with triangles, then edges
 // with edges if their interiors are closest.
 class SelfContacts {
-  // Iterations that separate tunnelling pairs in a step; and of all iterations, with rigid zones.
-  static constexpr int SEPARATION_ITERATIONS = 6, MAX_ITERATIONS = 40;
+  // Iterations that separate tunnelling pairs in a step; with rigid zones that keep a gap; and of
+  // all iterations, the last of which only move zones.
+  static constexpr int SEPARATION_ITERATIONS = 6, GAP_ITERATIONS = 12, MAX_ITERATIONS = 46;
   // Smallest gap of pairs in rigid zones [contact distance].
   static constexpr double ZONE_GAP_FRACTION = 0.02;
 
@@ -141,15 +142,21 @@ void SelfContacts::prevent_tunnelling(double h, const std::vector<double>& from,
       resolve_contacts();
       continue;
     }
-    if (iteration == SEPARATION_ITERATIONS) zones_->clear(), zone_corners_.clear(), zone_edges_.clear();
+    if (iteration == SEPARATION_ITERATIONS) {
+      zones_->clear();
+      zone_corners_.clear();
+      zone_edges_.clear();
+    }
     zones_->add_contacts(tunnelling_corners_);
     zones_->add_contacts(tunnelling_edges_);
     zones_->move_rigidly(from, before, x);
-    zone_corners_.insert(zone_corners_.end(), tunnelling_corners_.begin(), tunnelling_corners_.end());
-    zone_edges_.insert(zone_edges_.end(), tunnelling_edges_.begin(), tunnelling_edges_.end());
-    // Without this, gaps shrink over the steps until the motion of pinned particles, which is not
-    // rigid, closes them.
-    separate_pairs(h, zone_corners_, zone_edges_, ZONE_GAP_FRACTION, before, x);
+    if (iteration < GAP_ITERATIONS) {
+      // Without this, gaps shrink over the steps until the motion of pinned particles, which is not
+      // rigid, closes them.
+      for (const LayerHit& hit : tunnelling_corners_) zone_corners_.push_back(hit);
+      for (const LayerHit& hit : tunnelling_edges_) zone_edges_.push_back(hit);
+      separate_pairs(h, zone_corners_, zone_edges_, ZONE_GAP_FRACTION, before, x);
+    }
     for (const std::int32_t n : zones_->members()) is_moved[static_cast<std::size_t>(n)] = 1;
   }
 }
