@@ -34,6 +34,9 @@ constexpr double MIDPOINT_FACTOR = 0.25;
 constexpr double FINE_RADIUS_FRACTION = 0.35, FINE_POINT_FACTOR = 0.5, FINE_GROUP_SIZE = 1;
 // Safety factor of the distance that a triangle moves in an interval.
 constexpr double FINE_REACH = 1.5;
+// Fraction of its clearance from fine points by which a triangle may move relative to the nearest
+// one: the others move a little differently.
+constexpr double FINE_CLEARANCE_FRACTION = 0.5;
 // Largest number of fine points of a group that a triangle collides with in a step.
 constexpr int MAX_FINE_POINTS = 3;
 // Smallest initial slack of mesh caches, over the size of the mesh.
@@ -420,7 +423,7 @@ void SpringContacts::list_fine_triangles(const StepState& state) {
         const double* box = surfaces_[s].box() + 6 * node;
         if (collide::boxes_overlap(low, high, load(box), load(box + 3),
                                    reach + contact_distances_[c]))
-          fine_triangles_.push_back({k, c, node});
+          fine_triangles_.push_back({k, c, node, surfaces_[s].point_below(node), -1, {}});
       }
     }
   }
@@ -428,54 +431,74 @@ void SpringContacts::list_fine_triangles(const StepState& state) {
 
 void SpringContacts::resolve_fine_points(StepState state,
                                          std::vector<std::uint8_t>* particle_marks) {
-  for (const FineTriangle& fine : fine_triangles_) {
+  for (FineTriangle& fine : fine_triangles_) {
     const std::int32_t* corners = &network_.triangles[fine.corner];
     if (particle_marks && std::none_of(corners, corners + 3, [&](std::int32_t n) {
           return (*particle_marks)[static_cast<std::size_t>(n)];
         }))
       continue;
+    if (is_still_clear(fine, state)) continue;
+    const double distance = contact_distances_[fine.collider];
     for (int count = 0; count < MAX_FINE_POINTS; ++count) {
-      Vec nearest_point;
-      if (!find_fine_point(fine, shapes::Triangle(corners, state.x.data()), nearest_point) ||
-          !resolve_triangle_point(fine.collider, corners, nearest_point, state, particle_marks))
+      const double nearest_distance = find_fine_point(fine, state);
+      if (nearest_distance >= distance) {
+        fine.clearance = nearest_distance - distance;
         break;
+      }
+      const Vec point = mesh_at(step_colliders_[fine.collider], true).point(fine.point);
+      if (!resolve_triangle_point(fine.collider, corners, point, state, particle_marks)) break;
     }
   }
 }
 
-bool SpringContacts::find_fine_point(const FineTriangle& fine, const shapes::Triangle& triangle,
-                                     Vec& nearest_point) const {
+bool SpringContacts::is_still_clear(const FineTriangle& fine, const StepState& state) const {
+  if (fine.clearance < 0) return false;
+  const Vec point = mesh_at(step_colliders_[fine.collider], true).point(fine.point);
+  double motion = 0;
+  for (std::size_t k = 0; k < 3; ++k)
+    motion = std::max(
+        motion, length(shapes::position_of(state.x.data(), network_.triangles[fine.corner + k]) -
+                       point - fine.offsets[k]));
+  return motion < FINE_CLEARANCE_FRACTION * fine.clearance;
+}
+
+double SpringContacts::find_fine_point(FineTriangle& fine, const StepState& state) const {
   const MovingSurface& surface = surfaces_[fine.collider - colliders_.size()];
   const Mesh mesh = mesh_at(step_colliders_[fine.collider], true);
-  const double max_distance = contact_distances_[fine.collider];
+  const double max_distance = 2 * contact_distances_[fine.collider];
+  const shapes::Triangle triangle(&network_.triangles[fine.corner], state.x.data());
   const Vec normal = triangle.normal(), centre = (triangle.a + triangle.b + triangle.c) * (1.0 / 3),
             low = collide::min_of(collide::min_of(triangle.a, triangle.b), triangle.c),
             high = collide::max_of(collide::max_of(triangle.a, triangle.b), triangle.c);
-  const auto may_touch = [&](Vec box_low, Vec box_high) {
-    if (!collide::boxes_overlap(low, high, box_low, box_high, max_distance)) return false;
-    const Vec offset = (box_low + box_high) * 0.5 - centre, extent = (box_high - box_low) * 0.5;
-    return std::abs(dot(offset, normal)) <=
-           max_distance + std::abs(extent.x * normal.x) + std::abs(extent.y * normal.y) +
-               std::abs(extent.z * normal.z);
+  // A lower bound of the squared distance of a box: along the axes, and along the normal.
+  const auto squared_bound = [&](Vec box_low, Vec box_high) {
+    const Vec gap = collide::max_of(collide::max_of(low - box_high, box_low - high), Vec{}),
+              offset = (box_low + box_high) * 0.5 - centre, extent = (box_high - box_low) * 0.5;
+    const double height = std::abs(dot(offset, normal)) - std::abs(extent.x * normal.x) -
+                          std::abs(extent.y * normal.y) - std::abs(extent.z * normal.z);
+    return std::max(dot(gap, gap), height > 0 ? height * height : 0.0);
   };
-  double nearest_distance = max_distance;
+  double limit = max_distance * max_distance;
   collide::visit_boxes(
-      mesh, fine.node, 0,
+      mesh, fine.node, limit,
       [&](std::int32_t node) {
-        const double* box = mesh.bounds + 6 * node;
-        return may_touch(load(box), load(box + 3)) ? 0 : collide::INF;
+        const auto [box_low, box_high] = surface.box_at(node, mesh.fraction);
+        return squared_bound(box_low, box_high);
       },
       [&](std::int32_t t) {
         for (const std::int32_t* p = mesh.triangles + 3 * t; p < mesh.triangles + 3 * t + 3; ++p) {
           if (!surface.is_fine(*p)) continue;
           const Vec point = mesh.point(*p);
-          if (!may_touch(point, point)) continue;
-          const double distance = triangle.distance(point);
-          if (distance < nearest_distance) nearest_distance = distance, nearest_point = point;
+          if (squared_bound(point, point) >= limit) continue;
+          const Vec offset = triangle.nearest(point).offset;
+          if (dot(offset, offset) < limit) limit = dot(offset, offset), fine.point = *p;
         }
-        return 0;
+        return limit;
       });
-  return nearest_distance < max_distance;
+  const Vec point = mesh.point(fine.point);
+  fine.offsets = {triangle.a - point, triangle.b - point, triangle.c - point};
+  fine.clearance = -1;
+  return std::sqrt(limit);
 }
 
 bool SpringContacts::resolve_triangle_point(std::size_t c, const std::int32_t* corners, Vec nearby,

@@ -248,6 +248,12 @@ void MovingSurface::find_fine_points(double max_radius, double max_size) {
   }
 }
 
+std::int32_t MovingSurface::point_below(std::int32_t node) const {
+  const Mesh mesh = surface_->mesh(points_.data(), nullptr, bounds_.data());
+  while (mesh.nodes[2 * node] >= 0) node = mesh.nodes[2 * node];
+  return mesh.triangles[3 * (-1 - mesh.nodes[2 * node])];
+}
+
 bool MovingSurface::begin_interval(std::int64_t interval, double duration) {
   const std::int64_t knot = (first_interval_ + interval) / intervals_per_knot_,
                      elapsed_intervals = (first_interval_ + interval) % intervals_per_knot_;
