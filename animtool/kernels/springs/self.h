@@ -23,10 +23,9 @@ using IntersectionCounts = std::tuple<std::int64_t, std::int64_t, double>;
 // Resolves self-contacts of a surface over the steps of a run: particles with triangles, then edges
 // with edges if their interiors are closest.
 class SelfContacts {
-  // Iterations that separate tunnelling pairs in a step; with rigid zones that keep a gap; and of
-  // all iterations, the last of which only move zones.
-  static constexpr int SEPARATION_ITERATIONS = 6, GAP_ITERATIONS = 12, MAX_ITERATIONS = 46;
-  // Smallest gap of pairs in rigid zones [contact distance].
+  // Iterations that separate tunnelling pairs in a step; and of all iterations, with rigid zones.
+  static constexpr int SEPARATION_ITERATIONS = 6, MAX_ITERATIONS = 40;
+  // Gap to which pairs in rigid zones are separated [contact distance].
   static constexpr double ZONE_GAP_FRACTION = 0.02;
 
  public:
@@ -89,6 +88,9 @@ class SelfContacts {
   // returns whether there are any.
   bool find_tunnelling(double h, const std::vector<double>& from, const std::vector<double>& x,
                        std::vector<std::uint8_t>& is_moved);
+  void mark_zones(std::vector<std::uint8_t>& is_moved) const {
+    for (const std::int32_t n : zones_->members()) is_moved[static_cast<std::size_t>(n)] = 1;
+  }
   // Records tunnelling pairs as intersections.
   void record_tunnelling();
   // Separates pairs to a fraction of their contact distance.
@@ -112,6 +114,7 @@ class SelfContacts {
   std::optional<IntersectionResolver> resolver_;
   std::optional<ImpactZones> zones_;
   std::vector<LayerHit> tunnelling_corners_, tunnelling_edges_, zone_corners_, zone_edges_;
+  std::vector<double> before_gaps_, x_before_gaps_;  // positions before gaps were widened
   std::vector<Intersection> initial_corner_intersections_, initial_edge_intersections_;
   std::int64_t interval_ = -1, max_corner_intersections_ = 0, max_edge_intersections_ = 0;
 
@@ -135,7 +138,8 @@ void SelfContacts::prevent_tunnelling(double h, const std::vector<double>& from,
   if (!layers_ || !resolver_ || pair_list_.distance < 0) return;
   corner_contacts_.drop_resolved(*layers_, x);
   edge_contacts_.drop_resolved(*layers_, x);
-  for (int iteration = 0; find_tunnelling(h, from, x, is_moved); ++iteration) {
+  int iteration = 0;
+  for (; find_tunnelling(h, from, x, is_moved); ++iteration) {
     if (iteration == MAX_ITERATIONS) return record_tunnelling();
     if (iteration < SEPARATION_ITERATIONS) {
       separate_pairs(h, tunnelling_corners_, tunnelling_edges_, 1, before, x);
@@ -150,15 +154,18 @@ void SelfContacts::prevent_tunnelling(double h, const std::vector<double>& from,
     zones_->add_contacts(tunnelling_corners_);
     zones_->add_contacts(tunnelling_edges_);
     zones_->move_rigidly(from, before, x);
-    if (iteration < GAP_ITERATIONS) {
-      // Without this, gaps shrink over the steps until the motion of pinned particles, which is not
-      // rigid, closes them.
-      for (const LayerHit& hit : tunnelling_corners_) zone_corners_.push_back(hit);
-      for (const LayerHit& hit : tunnelling_edges_) zone_edges_.push_back(hit);
-      separate_pairs(h, zone_corners_, zone_edges_, ZONE_GAP_FRACTION, before, x);
-    }
-    for (const std::int32_t n : zones_->members()) is_moved[static_cast<std::size_t>(n)] = 1;
+    zone_corners_.insert(zone_corners_.end(), tunnelling_corners_.begin(),
+                         tunnelling_corners_.end());
+    zone_edges_.insert(zone_edges_.end(), tunnelling_edges_.begin(), tunnelling_edges_.end());
+    mark_zones(is_moved);
   }
+  if (iteration <= SEPARATION_ITERATIONS) return;
+  // Gaps would shrink over the steps until the motion of pinned particles, which is not rigid,
+  // closes them.
+  before_gaps_ = before, x_before_gaps_ = x;
+  separate_pairs(h, zone_corners_, zone_edges_, ZONE_GAP_FRACTION, before, x);
+  mark_zones(is_moved);
+  if (find_tunnelling(h, from, x, is_moved)) before = before_gaps_, x = x_before_gaps_;
 }
 
 }  // namespace animtool
