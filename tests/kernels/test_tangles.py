@@ -128,7 +128,9 @@ def test_what_is_pressed_on_pins_that_sway_does_not_pierce_itself() -> None:
     points, triangles = grid(size, 0)
     held = np.arange(size)
     x = points[held, 0]
-    swayed = 8 * np.stack([0.1 * x, 0.02 * np.sin(40 * x), 0.05 * x * np.cos(50 * x)], 1)
+    swayed = 8 * np.stack(
+        [0.1 * x, 0.02 * np.sin(40 * x), 0.05 * x * np.cos(50 * x)], 1
+    )
     path = np.stack([points[held], points[held] + swayed])
     network, ends = stiff_network(points, triangles, held, path)
     layers = _kernels.SpringLayers(network, points, 0.003, 0.2, 0.2)

@@ -18,7 +18,12 @@ from support.attached import (
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Rig
-from animtool.systems.attach.skins import build_skins, skin_margin, triangulate_capped
+from animtool.systems.attach.skins import (
+    build_skins,
+    contact_offsets,
+    skin_margin,
+    triangulate_capped,
+)
 from animtool.systems.framework.meter import ClosedSurface, surface_depths
 
 SIZE = 10
@@ -114,6 +119,16 @@ def test_cloth_is_no_skin() -> None:
 def test_coarse_cloth_keeps_more() -> None:
     assert skin_margin(0.06, 0.005) == pytest.approx(0.01)
     assert skin_margin(0.006, 0.005) == 0
+
+
+def test_points_keep_how_near_they_are_worn_but_not_what_a_limb_is_through() -> None:
+    skin = ClosedSurface(BOX, TRIANGLES)
+    heights = np.array([1.3, 1.04, 0.95, 0.7])
+    points = np.stack([0 * heights + 0.5, 0 * heights + 0.5, heights], axis=1)
+    offsets = contact_offsets(skin, points, 0.1)
+    np.testing.assert_allclose(offsets, [0, -0.06, -0.1, 0], atol=1e-12)
+    kept = contact_offsets(skin, points, 0.1, keeps_inside=True)
+    np.testing.assert_allclose(kept, [0, -0.06, -0.15, -0.4], atol=1e-12)
 
 
 def test_in_blocks_it_moves_the_same() -> None:
