@@ -24,19 +24,8 @@ using shapes::position_of;
 constexpr double EDGE_REACH_FACTOR = 1.2;
 // Smallest distance from lines without thickness [longest rest edge].
 constexpr double MIN_CONTACT_DISTANCE = 1e-3;
-// Angle below which neighbouring faces of boxes and meshes count as flat [rad].
-constexpr double FLAT_ANGLE = 1e-3;
 // Contact searches in a step, and iterations of resolving contacts.
 constexpr int MAX_CONTACT_SEARCHES = 2, MAX_ITERATIONS = 6;
-
-Vec min_of(Vec a, Vec b) { return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)}; }
-Vec max_of(Vec a, Vec b) { return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)}; }
-// Whether boxes are at most a distance apart along each axis.
-bool boxes_overlap(Vec low, Vec high, Vec other_low, Vec other_high, double distance) {
-  return low.x <= other_high.x + distance && high.x >= other_low.x - distance &&
-         low.y <= other_high.y + distance && high.y >= other_low.y - distance &&
-         low.z <= other_high.z + distance && high.z >= other_low.z - distance;
-}
 
 // The corners and edges of a box.
 FineFeatures box_features(const double* half_extents) {
@@ -51,24 +40,6 @@ FineFeatures box_features(const double* half_extents) {
   return features;
 }
 
-// Radius of curvature of a mesh at the edge of a triangle: infinite if the edge is flat or concave,
-// and at most that of faces of a given width.
-double curvature_radius(const Mesh& mesh, std::int32_t triangle, int side, double max_width) {
-  const std::int32_t* corner = mesh.triangles + 3 * triangle;
-  const Vec a = mesh.point(corner[side]), b = mesh.point(corner[(side + 1) % 3]);
-  const Vec opposite = mesh.point(corner[(side + 2) % 3]) - a, edge = b - a;
-  const double squared_length = dot(edge, edge);
-  if (!(squared_length > 0)) return collide::INF;
-  const Vec inward = opposite - edge * (dot(opposite, edge) / squared_length);
-  const Vec sum = load(mesh.edge_normals + 9 * triangle + 3 * side);
-  // On the boundary of an open mesh.
-  if (dot(sum, sum) == 0) return 0;
-  if (!(dot(sum, inward) < -FLAT_ANGLE * FLAT_ANGLE * length(inward))) return collide::INF;
-  const Vec normal = collide::face_normal(mesh, triangle, {});
-  const double angle = 2 * std::atan2(length(cross(normal, sum)), dot(normal, sum));
-  return angle > FLAT_ANGLE ? std::min(length(inward), max_width) / angle : collide::INF;
-}
-
 // The sharp edges of a mesh and their ends.
 FineFeatures mesh_features(const Collider& c, double longest_edge, double distance) {
   FineFeatures features;
@@ -79,7 +50,7 @@ FineFeatures mesh_features(const Collider& c, double longest_edge, double distan
       c.mesh, c.mesh_root, -infinite_extent, infinite_extent, [&](std::int32_t t) {
         triangles = std::max(triangles, t + 1);
         for (std::int32_t side = 0; side < 3; ++side) {
-          if (!(curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge))
+          if (!(collide::curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge))
             continue;
           const std::int32_t* corner = c.mesh.triangles + 3 * t;
           const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
@@ -210,7 +181,7 @@ static bool may_touch(const FineFeatures& features, const Collider& c, Vec p, do
     return collide::squared_box_distance(p, c.mesh.bounds + 6 * c.mesh_root) <=
            max_distance * max_distance;
   const Vec a = features.points.front(), b = features.points.back();
-  return boxes_overlap(p, p, min_of(a, b), max_of(a, b), max_distance);
+  return collide::boxes_overlap(p, p, collide::min_of(a, b), collide::max_of(a, b), max_distance);
 }
 
 bool FaceContacts::may_touch_any(const StepCollider& c,
@@ -305,7 +276,7 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
       for (const auto* positions : {&from_, &to_}) {
         const Vec point =
             position_of(positions->data(), element.corners[static_cast<std::size_t>(k)]);
-        element.low = min_of(element.low, point), element.high = max_of(element.high, point);
+        element.low = collide::min_of(element.low, point), element.high = collide::max_of(element.high, point);
       }
   }
   const auto point_count = static_cast<std::int32_t>(features.points.size());
@@ -344,7 +315,7 @@ void FaceContacts::add_contacts(const FineFeatures& features, const Element& ele
   const auto index = static_cast<std::size_t>(feature);
   if (element.count == 3) {
     const Vec p = features.points[index];
-    if (boxes_overlap(p, p, element.low, element.high, features.radius))
+    if (collide::boxes_overlap(p, p, element.low, element.high, features.radius))
       add_pair<shapes::CornerPair>(
           {first_point + feature, element.corners[0], element.corners[1], element.corners[2]},
           features.radius);
@@ -353,7 +324,7 @@ void FaceContacts::add_contacts(const FineFeatures& features, const Element& ele
   const auto [i, j] = features.lines[index];
   const Vec a = features.points[static_cast<std::size_t>(i)];
   const Vec b = features.points[static_cast<std::size_t>(j)];
-  if (boxes_overlap(min_of(a, b), max_of(a, b), element.low, element.high, features.radius))
+  if (collide::boxes_overlap(collide::min_of(a, b), collide::max_of(a, b), element.low, element.high, features.radius))
     add_pair<shapes::EdgePair>(
         {element.corners[0], element.corners[1], first_point + i, first_point + j},
         features.radius);
