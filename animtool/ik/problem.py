@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.arguments import argument
-from animtool.core.array_types import ArrayLike, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, as_floats
 from animtool.core.errors import Fault, OptionError, counted, excerpt, listed
 from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
@@ -19,6 +19,7 @@ from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_driver_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
+from animtool.ik.sub_rig import start_coordinates
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -39,6 +40,7 @@ class Problem:
         length: Unit of lengths inside the solver: the longest bone path to a goal [m].
         rest_weight: Weight of the preferred pose in the sum of squares.
         chain: The kinematic chain of the joints.
+        pose: Pose ``(Q,)`` of the joints that do not move, and the default start.
         limbs: Soft and stretching limbs.
         solver_cache: Cached solver inputs, by name.
     """
@@ -51,6 +53,7 @@ class Problem:
     length: float
     rest_weight: float
     chain: Chain = field(repr=False)
+    pose: FloatArray = field(repr=False, compare=False)
     limbs: tuple[GoalLimb, ...] = field(default=(), repr=False)
     solver_cache: dict[str, Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -93,7 +96,7 @@ def build(
         joints: Names of the joints that may move; None selects every joint that moves a
             goal.
         pose: Coordinates ``(Q,)`` of the joints that do not move; None is the rest
-            pose.
+            pose, with joints that it has outside their limits at the nearest one.
         rest_weight: Weight of the pose passed to `solve` as ``prefer``: of squared
             angles and relative lengths from it. Goals are then missed by about as much.
 
@@ -127,8 +130,9 @@ def build(
     faults = _input_faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)
-    pose_coordinates = np.zeros(rig.coordinates)
-    if pose is not None:
+    if pose is None:
+        pose_coordinates = start_coordinates(rig)[0]
+    else:
         pose_coordinates = as_floats(pose, (rig.coordinates,), "pose")
     moving_joints = find_moving_joints(rig, goals, joints)
     faults = _immovable_faults(rig, goals, moving_joints, joints)
@@ -149,6 +153,7 @@ def build(
         chain.length,
         rest_weight,
         chain,
+        pose_coordinates,
         limbs,
     )
 

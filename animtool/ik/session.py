@@ -24,7 +24,6 @@ from animtool.ik.solving import (
     result_of_kernel,
     solve,
 )
-from animtool.rig.joints import rest_coordinates
 
 if TYPE_CHECKING:
     from animtool import _kernels
@@ -43,7 +42,6 @@ class _PackedProblem:
     problem: Problem
     solver: _kernels.RigSolver
     has_branches: bool
-    rest: FloatArray  # rest pose ``(1, Q)``
     targets: FloatArray  # packed target buffer ``(1, E, W)``
     views: tuple[FloatArray, ...]  # views into the buffer, one per used part
 
@@ -62,8 +60,7 @@ class Session:
             for position, rotation, or both; or a `Goal` for anything else.
         joints: Names of the joints that may move; None selects every joint that moves a
             goal.
-        pose: Coordinates ``(Q,)`` of the joints that do not move; None is the rest
-            pose.
+        pose: Coordinates ``(Q,)`` of the joints that do not move, see `build`.
         options: Tolerances, budget, seed.
         rest_weight: Weight of the preferred pose, see `build`.
 
@@ -118,7 +115,7 @@ class Session:
 
         Args:
             targets: Targets by goal name, for names that are not Python identifiers.
-            start: Pose ``(Q,)``; None is the rest pose.
+            start: Pose ``(Q,)``; None is the ``pose`` of the session.
             prefer: Preferred pose ``(Q,)`` of ``rest_weight``; None is the start.
             named: Targets by keyword. For a joint a world point ``(3,)`` [m], or a pair
                 of that and a quaternion x y z w, either of them None; for a `Goal` the
@@ -134,7 +131,7 @@ class Session:
         if self.options.near or self.rig.is_driven:
             buffered_targets = _targets_of_buffer(buffer)
             return solve(problem, start, buffered_targets, self.options, prefer=prefer)
-        start_rows = packed_problem.rest
+        start_rows = problem.pose[None]
         if start is not None:
             start_rows = np.asarray(start, np.float64)[None]
         preferred_rows = None
@@ -181,9 +178,7 @@ class Session:
             hint = "six pins in a row, the last three meeting in a point or the second "
             hint += "to fourth parallel, with a position and a rotation to reach"
             raise OptionError(Fault("IK015", message, hint=hint))
-        start_pose = (
-            packed_problem.rest[0] if start is None else np.asarray(start, np.float64)
-        )
+        start_pose = problem.pose if start is None else np.asarray(start, np.float64)
         try:
             return packed_problem.solver.branches(start_pose, target_buffer[0])
         except (TypeError, ValueError):
@@ -243,10 +238,7 @@ class Session:
         ]
         solver = build_solver(problem, self.options)
         has_branches = closed_form(problem) is ClosedForm.ARM
-        rest = rest_coordinates(self.rig, 1)
-        return _PackedProblem(
-            problem, solver, has_branches, rest, targets, tuple(views)
-        )
+        return _PackedProblem(problem, solver, has_branches, targets, tuple(views))
 
 
 def _goals_by_name(

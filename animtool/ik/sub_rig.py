@@ -12,7 +12,8 @@ from animtool.rig.controls import Control
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.drivers import split_coordinate
 from animtool.rig.driving import driven_coordinates
-from animtool.rig.joints import coordinate_slices
+from animtool.rig.joints import coordinate_slices, rest_coordinates
+from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
 
 
@@ -63,6 +64,34 @@ def with_mimics(
     return (
         driven_coordinates(plan_of(rig), coordinates) if rig.is_driven else coordinates
     )
+
+
+def start_coordinates(rig: Rig) -> FloatArray:
+    """Return the rest pose ``(1, Q)``, within limits as of `within_limits`.
+
+    >>> from animtool.rig.skeleton import Joint, JointType
+    >>> from animtool.rig.limits import RangeLimit
+    >>> knee = Joint("knee", -1, JointType.PIN, limits=RangeLimit(0.1, 2.0))
+    >>> start_coordinates(Rig("leg", (knee,))).tolist()
+    [[0.1]]
+    """
+    return within_limits(rig, rest_coordinates(rig, 1))
+
+
+def within_limits(rig: Rig, coordinates: FloatArray) -> FloatArray:
+    """Return coordinates ``(B, Q)`` with pins and slides clamped to their limits.
+
+    Mimic and driven joints follow.
+    """
+    coordinates = coordinates.copy()
+    for joint, columns in zip(rig.joints, coordinate_slices(rig), strict=True):
+        if isinstance(joint.limits, RangeLimit):
+            coordinates[:, columns] = joint.limits.clamped(coordinates[:, columns])
+    coordinates = with_mimics(rig, coordinates, rig.names)
+    # Drivers that read no joint are set here.
+    if rig.is_driven:
+        coordinates = driven_coordinates(plan_of(rig), coordinates)
+    return coordinates
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:

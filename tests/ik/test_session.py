@@ -14,6 +14,7 @@ from animtool.ik import Goal, IkOptions, Session, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Mimic, Rig
 
@@ -126,6 +127,24 @@ def test_joints_that_mimic_others_come_along() -> None:
     q = rig.ik("b2").solve(b2=[0.5, 0.3, 0.1]).coordinates[0]
     assert q[4] == -0.5 * q[1]
     assert q[3] == 2.0 * q[4] + 0.1
+
+
+def test_joints_that_move_no_goal_are_within_limits() -> None:
+    joints = list(arm(3).joints)
+    joints.append(replace(joints[0], name="bent", limits=RangeLimit(0.2, 1.0)))
+    joints.append(replace(joints[0], name="tail", mimic=Mimic("bent", 2.0, 0.1)))
+    rig = Rig("bent", tuple(joints))
+    q = rig.ik("b2").solve(b2=[0.5, 0.3, 0.1]).coordinates[0]
+    assert q[3:5].tolist() == [0.2, 0.5]
+
+
+def test_joints_that_do_not_move_have_the_pose_of_the_session() -> None:
+    rig, pose = arm(3), [0.4, 0.0, 0.0]
+    session = rig.ik("b2", joints=["b1"], pose=pose)
+    target = session.solve(b2=[0.0, 0.0, 0.0]).world().positions[0, 2]
+    found = session.solve(b2=target)
+    assert found.coordinates[0, 0] == 0.4
+    np.testing.assert_allclose(found.world().positions[0, 2], target, atol=1e-6)
 
 
 def test_the_last_call_leaves_no_traces() -> None:
