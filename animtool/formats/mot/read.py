@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from pathlib import Path
 
@@ -45,6 +46,8 @@ from animtool.rig.skeleton import Rig
 # Maximum frames per row at irregular times. More are gaps, and filling these would be
 # invented motion.
 MAX_FRAMES_PER_ROW = 10
+# Smaller shifts of a take are rounding of times [s].
+MIN_TIME_SHIFT = 1e-4
 # Two revolutions [rad]: joints of a body rotate less, and values in degrees soon exceed
 # it.
 MAX_PLAUSIBLE_ANGLE = 4 * np.pi
@@ -114,19 +117,36 @@ def read_mot(
         "first_time": float(table.times[0]),
         "units": unit_name(take_rig.meters_per_unit),
     }
+    start = _first_frame(table, rate)
     notices = file.notices
     if rig is not None:
         details["rig"] = str(rig)
         notices = [*take_rig.notices, *notices]
-    first_frame = float(table.times[0]) * float(rate)
-    start = (
-        Fraction(round(first_frame) + 1)
-        if abs(first_frame) < MAX_FRAME_NUMBER
-        else None
-    )
     return TakeStream(
         take_rig, rate, start, Fraction(1), iter([motion]), notices, details
     )
+
+
+def _first_frame(table: MotionTable, rate: Fraction) -> Fraction | None:
+    """Return the frame of the first row; None if it is too large.
+
+    A row between two frames is noted (MOF113).
+    """
+    first_time = float(table.times[0])
+    frame_position = first_time * float(rate)
+    if abs(frame_position) >= MAX_FRAME_NUMBER:
+        return None
+    frame = round(frame_position)
+    shift = frame / float(rate) - first_time
+    if abs(shift) > max(MIN_TIME_SHIFT, 3 * rounding_error(table.time_decimals)):
+        message = f"starts at {first_time:.6g} s, which is between frames "
+        message += f"{math.floor(frame_position) + 1} and "
+        message += f"{math.floor(frame_position) + 2} at {float(rate):.6g} fps: "
+        message += f"frame {frame + 1} is its first row, {abs(shift):.3g} s "
+        message += "later" if shift > 0 else "earlier"
+        hint = "move other data of the trial, such as forces, by as much"
+        table.file.note("MOF113", message, hint)
+    return Fraction(frame + 1)
 
 
 def _warn_unstated_unit(file: CaptureFile, invalid_in_degrees: str) -> None:

@@ -127,6 +127,19 @@ def test_a_rig_of_its_own(write: Callable[[str], Path]) -> None:
     assert types == {"knee": JointType.PIN, "pelvis_ty": JointType.PRISMATIC}
 
 
+@pytest.mark.parametrize(
+    ("first", "code", "start"),
+    [(10.25, ["MOF113"], 513), (10.26, [], 514), (10.250004, ["MOF113"], 514)],
+)
+def test_starts_between_frames_are_noted(
+    write: Callable[[str], Path], first: float, code: list[str], start: int
+) -> None:
+    rows = "".join(f"{first + i / 50:.6f}\t{i}\t0\n" for i in range(4))
+    stream = read_mot(write(f"{HEAD}time\tknee\tlift\n{rows}".replace("=3", "=4")))
+    assert [c for c in codes(stream.notices) if c == "MOF113"] == code
+    assert stream.start == start
+
+
 def test_states_of_opensim(write: Callable[[str], Path]) -> None:
     table = (
         "time\t/jointset/knee_r/knee/value\t/jointset/knee_r/knee/speed\t/f/soleus\n"
