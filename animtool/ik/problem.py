@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from animtool.core.arguments import argument
-from animtool.core.array_types import ArrayLike, FloatArray, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.core.errors import Fault, OptionError, counted, excerpt, listed
 from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
@@ -20,6 +20,7 @@ from animtool.ik.driver_programs import with_driver_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
 from animtool.ik.sub_rig import start_coordinates
+from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -227,6 +228,21 @@ def find_moving_joints(
     if rig.is_driven:
         return with_driver_sources(rig, moving_joints, goals, joints)
     return moving_joints
+
+
+def fixed_columns(problem: Problem) -> IntArray:
+    """Return columns of joints that do not move, but would move a goal ``(C,)``."""
+    rig = problem.rig
+    goals = [replace(goal, root=None) for goal in problem.goals]
+    names = set(problem.joints)
+    slices = coordinate_slices(rig)
+    columns = [
+        column
+        for j in sorted(find_moving_joints(rig, goals))
+        if rig.joints[j].name not in names
+        for column in range(slices[j].start, slices[j].stop)
+    ]
+    return np.array(columns, np.int64)
 
 
 def _immovable_faults(

@@ -147,6 +147,26 @@ def test_joints_that_do_not_move_have_the_pose_of_the_session() -> None:
     np.testing.assert_allclose(found.world().positions[0, 2], target, atol=1e-6)
 
 
+def test_joints_that_do_not_move_are_where_the_start_has_them() -> None:
+    rig = arm(6)
+    session = rig.ik(Goal("b5", (0.2, 0.0, 0.0), root="b2"))
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        start, other = rng.uniform(-0.5, 0.5, (2, 6))
+        other[:2] = start[:2]
+        local = local_from_coordinates(rig, other[None])
+        world = forward_kinematics(rig, local.translations, local.rotations)
+        target = world.positions[0, 5] + world.linear[0, 5] @ [0.2, 0.0, 0.0]
+        found = session.solve(b5=target, start=start)
+        assert found.converged.all()
+        assert found.coordinates[0, :2].tolist() == start[:2].tolist()
+        placed = found.world()
+        reached = placed.positions[0, 5] + placed.linear[0, 5] @ [0.2, 0.0, 0.0]
+        np.testing.assert_allclose(reached, target, atol=1e-5)
+    # Without a start it is the pose of the session again.
+    assert session.solve(b5=target).coordinates[0, :2].tolist() == [0.0, 0.0]
+
+
 def test_the_last_call_leaves_no_traces() -> None:
     session = mixed_rig().ik("hand")
     first = session.solve(hand=[0.4, 1.3, 0.3])
