@@ -55,7 +55,7 @@ def solve(
     Args:
         problem: E goals over a rig of Q coordinates.
         start: ``(Q,)`` for all, or ``(B, Q)``; None is the problem's pose. Clamped to
-            the limits.
+            the limits. Joints that do not move need their values in the problem's pose.
         targets: Targets of B problems.
         options: Tolerances, budget, seed.
         prefer: Preferred pose ``(Q,)`` or ``(B, Q)``, weighted by the problem's

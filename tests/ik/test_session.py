@@ -133,9 +133,12 @@ def test_joints_that_move_no_goal_are_within_limits() -> None:
     joints = list(arm(3).joints)
     joints.append(replace(joints[0], name="bent", limits=RangeLimit(0.2, 1.0)))
     joints.append(replace(joints[0], name="tail", mimic=Mimic("bent", 2.0, 0.1)))
+    joints.append(replace(joints[0], name="free"))
+    mimic, limits = Mimic("free", 1.0, 0.0), RangeLimit(0.3, 1.0)
+    joints.append(replace(joints[0], name="tied", mimic=mimic, limits=limits))
     rig = Rig("bent", tuple(joints))
     q = rig.ik("b2").solve(b2=[0.5, 0.3, 0.1]).coordinates[0]
-    assert q[3:5].tolist() == [0.2, 0.5]
+    assert q[3:].tolist() == [0.2, 0.5, 0.3, 0.3]
 
 
 def test_joints_that_do_not_move_have_the_pose_of_the_session() -> None:
