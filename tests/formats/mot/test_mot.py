@@ -128,6 +128,23 @@ def test_a_rig_of_its_own(write: Callable[[str], Path]) -> None:
 
 
 @pytest.mark.parametrize(
+    ("column", "code"),
+    [("77\t78\t79", ["MOF114"]), ("10.72958\t15.72958\t20.72958", [])],
+)
+def test_a_column_of_a_mimic_joint_is_used(
+    write: Callable[[str], Path], tmp_path: Path, column: str, code: list[str]
+) -> None:
+    rig_file = tmp_path / "leg.rig.yaml"
+    rig_file.write_text(rig_text(RIG), "utf-8")
+    values = column.split()
+    rows = "".join(f"{i / 100}\t{10 + 10 * i}\t{values[i]}\n" for i in range(3))
+    stream = read_mot(write(f"{HEAD}time\tknee\tshadow\n{rows}"), rig=rig_file)
+    assert codes(stream.notices) == code
+    shadow = np.degrees(coordinates(stream.collect())[:, 14])
+    assert shadow == pytest.approx([float(value) for value in values])
+
+
+@pytest.mark.parametrize(
     ("first", "code", "start"),
     [(10.25, ["MOF113"], 513), (10.26, [], 514), (10.250004, ["MOF113"], 514)],
 )
