@@ -54,10 +54,10 @@ class _PackedProblem:
 
         An invalid pose fits: the solve refuses it.
         """
-        columns, own_pose = self.fixed_columns, self.problem.pose
-        if pose is own_pose or not columns.size or pose.shape != own_pose.shape:
+        columns, problem_pose = self.fixed_columns, self.problem.pose
+        if pose is problem_pose or not columns.size or pose.shape != problem_pose.shape:
             return True
-        offsets = np.abs(pose.take(columns) - own_pose.take(columns))
+        offsets = np.abs(pose.take(columns) - problem_pose.take(columns))
         return bool(offsets.max() <= POSE_TOLERANCE) or not np.isfinite(pose).all()
 
 
