@@ -157,6 +157,24 @@ def test_starts_between_frames_are_noted(
     assert stream.start == start
 
 
+def test_names_with_separators_come_back(tmp_path: Path) -> None:
+    names = ["a b", "a_b", "a,b", "a  b.x", "é\u00a0c"]
+    rig = Rig(
+        "odd", tuple(Joint(name, i - 1, JointType.PIN) for i, name in enumerate(names))
+    )
+    rig_file, path = tmp_path / "odd.rig.yaml", tmp_path / "odd.mot"
+    rig_file.write_text(rig_text(rig), "utf-8")
+    q = np.random.default_rng(1).uniform(-1, 1, (3, len(names)))
+    local = local_from_coordinates(rig, q)
+    motion = Motion(*map(Channel.from_dense, (local.translations, local.rotations)))
+    clock = Clock(Fraction(100), Fraction(1), Fraction(1), 3)
+    write_text(Take(rig, clock, motion), path, build_mot_text, overwrite=False)
+    assert len(set(path.read_text("utf-8").splitlines()[6].split("\t"))) == 6
+    stream = read_mot(path, rig=rig_file)
+    assert "MOF102" not in codes(stream.notices)
+    assert coordinates(stream.collect()) == pytest.approx(q, abs=1e-9)
+
+
 def test_states_of_opensim(write: Callable[[str], Path]) -> None:
     table = (
         "time\t/jointset/knee_r/knee/value\t/jointset/knee_r/knee/speed\t/f/soleus\n"
