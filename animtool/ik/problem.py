@@ -19,7 +19,7 @@ from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_driver_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
-from animtool.ik.sub_rig import start_coordinates
+from animtool.ik.sub_rig import leader_of, start_coordinates
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
@@ -208,7 +208,10 @@ def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
 def find_moving_joints(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
-    """Return the allowed joints that move a goal; None allows all joints."""
+    """Return the allowed joints that move a goal; None allows all joints.
+
+    Above a goal, joints that follow a moving joint or lead it are moving, too.
+    """
     moving_joints: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)
@@ -225,6 +228,10 @@ def find_moving_joints(
             if is_sliding or any(joint.translation):
                 ignores_rotation = False
             j = -1 if joint.name == goal.root else joint.parent
+    if joints is not None or any(goal.root for goal in goals):
+        leaders = {leader_of(rig, j)[0] for j in moving_joints}
+        all_joints = find_moving_joints(rig, [replace(g, root=None) for g in goals])
+        moving_joints |= {j for j in all_joints if leader_of(rig, j)[0] in leaders}
     if rig.is_driven:
         return with_driver_sources(rig, moving_joints, goals, joints)
     return moving_joints

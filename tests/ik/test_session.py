@@ -150,6 +150,22 @@ def test_joints_that_do_not_move_have_the_pose_of_the_session() -> None:
     np.testing.assert_allclose(found.world().positions[0, 2], target, atol=1e-6)
 
 
+@pytest.mark.parametrize("moving", [["b2"], ["b0", "b3"], ["b3", "b4"]])
+def test_joints_that_follow_others_above_a_goal_move_with_them(
+    moving: list[str],
+) -> None:
+    joints = list(arm(6).joints)
+    joints[2] = replace(joints[2], mimic=Mimic("b0", -0.5, 0.1))
+    joints[3] = replace(joints[3], mimic=Mimic("b0", 2.0))
+    rig = Rig("tied", tuple(joints))
+    session = rig.ik(Goal("b5", (0.2, 0.0, 0.0)), joints=moving)
+    found = session.solve(b5=[0.4, 0.5, 0.3])
+    placed = found.world()
+    reached = placed.positions[0, 5] + placed.linear[0, 5] @ [0.2, 0.0, 0.0]
+    miss = np.linalg.norm(reached - [0.4, 0.5, 0.3])
+    assert found.positions[0, 0] == pytest.approx(miss, abs=1e-9)
+
+
 def test_joints_that_do_not_move_are_where_the_start_has_them() -> None:
     rig = arm(6)
     session = rig.ik(Goal("b5", (0.2, 0.0, 0.0), root="b2"))
