@@ -19,7 +19,8 @@ from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_driver_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
-from animtool.ik.sub_rig import leader_of, start_coordinates
+from animtool.ik.sub_rig import leader_of, start_coordinates, with_mimics
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
@@ -139,6 +140,9 @@ def build(
     faults = _immovable_faults(rig, goals, moving_joints, joints)
     if faults:
         raise OptionError(faults)
+    joint_names = tuple(rig.names[j] for j in sorted(moving_joints))
+    # As in results.
+    pose_coordinates = with_mimics(rig, pose_coordinates[None], joint_names)[0]
     chain, faults = assemble_chain(rig, goals, moving_joints, pose_coordinates)
     limbs: tuple[GoalLimb, ...] = ()
     if not faults:
@@ -148,7 +152,7 @@ def build(
     return Problem(
         rig,
         tuple(goals),
-        tuple(rig.joints[j].name for j in sorted(moving_joints)),
+        joint_names,
         chain.degrees,
         sum(goal.rows for goal in goals),
         chain.length,
@@ -238,14 +242,20 @@ def find_moving_joints(
 
 
 def fixed_columns(problem: Problem) -> IntArray:
-    """Return columns of joints that do not move, but would move a goal ``(C,)``."""
+    """Return columns of joints that do not move, but would move a goal ``(C,)``.
+
+    In a rig with drivers, which may read any joint, of all that are not driven.
+    """
     rig = problem.rig
     goals = [replace(goal, root=None) for goal in problem.goals]
-    names = set(problem.joints)
-    slices = coordinate_slices(rig)
+    if rig.is_driven:
+        joints = set(range(len(rig.joints))).difference(plan_of(rig).joints)
+    else:
+        joints = find_moving_joints(rig, goals)
+    names, slices = set(problem.joints), coordinate_slices(rig)
     columns = [
         column
-        for j in sorted(find_moving_joints(rig, goals))
+        for j in sorted(joints)
         if rig.joints[j].name not in names
         for column in range(slices[j].start, slices[j].stop)
     ]
