@@ -232,13 +232,25 @@ def find_moving_joints(
             if is_sliding or any(joint.translation):
                 ignores_rotation = False
             j = -1 if joint.name == goal.root else joint.parent
-    if joints is not None or any(goal.root for goal in goals):
-        leaders = {leader_of(rig, j)[0] for j in moving_joints}
-        all_joints = find_moving_joints(rig, [replace(g, root=None) for g in goals])
-        moving_joints |= {j for j in all_joints if leader_of(rig, j)[0] in leaders}
+    moving_joints = _with_followers(rig, goals, joints, moving_joints)
     if rig.is_driven:
-        return with_driver_sources(rig, moving_joints, goals, joints)
+        moving_joints = with_driver_sources(rig, moving_joints, goals, joints)
+        moving_joints = _with_followers(rig, goals, joints, moving_joints)
     return moving_joints
+
+
+def _with_followers(
+    rig: Rig,
+    goals: Sequence[Goal],
+    joints: Collection[str] | None,
+    moving_joints: set[int],
+) -> set[int]:
+    """Return moving joints with the mimic joints above goals that move with them."""
+    if joints is None and not any(goal.root for goal in goals):
+        return moving_joints
+    leaders = {leader_of(rig, j)[0] for j in moving_joints}
+    all_joints = find_moving_joints(rig, [replace(goal, root=None) for goal in goals])
+    return moving_joints | {j for j in all_joints if leader_of(rig, j)[0] in leaders}
 
 
 def fixed_columns(problem: Problem) -> IntArray:
