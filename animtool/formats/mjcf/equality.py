@@ -54,6 +54,23 @@ class JointEqualities:
                 equalities._add(model, follower, constraints)
         return equalities
 
+    def range_of(self, model: Any, follower: int) -> tuple[float, float] | None:
+        """Return the values of a constrained joint at the limits of its leader.
+
+        None if it is free, follows an unlimited joint, or follows nonlinearly.
+        """
+        driver, mimic = self.drivers.get(follower), self.mimics.get(follower)
+        if driver is not None and not driver.names:
+            value = float(driver.evaluate({})[0])
+            return value, value
+        if mimic is None:
+            return None
+        leader = model.joint(mimic.joint)
+        if not model.jnt_limited[leader.id]:
+            return None
+        low, high = (mimic.gain * float(end) + mimic.offset for end in leader.range)
+        return low, high
+
     def _add(
         self, model: Any, follower: int, constraints: dict[int, tuple[int, list[float]]]
     ) -> None:
