@@ -375,6 +375,15 @@ class ParticleSimulation:
                 message += "inside it"
                 hint = "to remove what leaves it, write container: true"
             return warning("SIM188", message, hint, f"kill[{k}]")
+        late_start = self.late_start_notice(t)
+        if late_start is not None:
+            return late_start
+        hint = "set a rate or bursts, and a start and a lifetime with which "
+        return warning("SIM188", message, hint + "particles exist in the range")
+
+    def late_start_notice(self, t: float) -> Fault | None:
+        """Return a warning if all emitters start after a time [s] (SIM188)."""
+        emitters = self.setup.emitters
         start_times = [
             min(
                 [
@@ -384,17 +393,14 @@ class ParticleSimulation:
             )
             for emitter in emitters
         ]
-        first_time = min(start_times)
-        if t < first_time < np.inf:
-            message += (
-                f": the first emitter starts at {first_time:g} s, after the last "
-            )
-            message += f"frame, at {t:.3g} s"
-            hint = "times are in seconds from the first frame of the range"
-            location = f"emitters[{start_times.index(first_time)}]"
-            return warning("SIM188", message, hint, location)
-        hint = "set a rate or bursts, and a start and a lifetime with which "
-        return warning("SIM188", message, hint + "particles exist in the range")
+        first_time = min(start_times, default=np.inf)
+        if not t < first_time < np.inf:
+            return None
+        message = "there are no particles in any frame: the first emitter starts at "
+        message += f"{first_time:g} s, after the last frame, at {t:.3g} s"
+        hint = "times are in seconds from the first frame of the range"
+        location = f"emitters[{start_times.index(first_time)}]"
+        return warning("SIM188", message, hint, location)
 
     def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
         """Return the energy of a state; None if the system does not conserve energy."""
