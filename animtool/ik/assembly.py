@@ -22,6 +22,7 @@ from animtool.ik.goals import Goal
 from animtool.ik.limbs import limb_joints
 from animtool.ik.sub_rig import UNLIMITED, coordinate_ranges, leader_of
 from animtool.maths import so3
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import (
     LocalTransforms,
     coordinate_slices,
@@ -53,6 +54,7 @@ class _ChainBuilder:
         self.rig = rig
         self.slices = coordinate_slices(rig)
         self.ranges = coordinate_ranges(rig)
+        self.followed = _followed_joints(rig)
         self.nodes: list[list[int]] = []
         self.rest_matrices: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
@@ -146,7 +148,9 @@ class _ChainBuilder:
         self.rig_columns.append(self.slices[leader].start)
         self.is_length.append(is_length)
         is_full = high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
-        is_unlimited = is_full and not is_length and gain == 1.0
+        # A revolution of a joint moves those that follow it by another angle.
+        is_periodic = not is_length and gain == 1.0 and leader not in self.followed
+        is_unlimited = is_full and is_periodic
         has_period = is_unlimited and math.isfinite(high - low)
         self.periods.append((low, high) if has_period else UNLIMITED)
         limit = (*(UNLIMITED if is_unlimited else (low, high)), 0.0, 0.0)
@@ -179,6 +183,14 @@ def _rotation_from_z(axis: FloatArray) -> FloatArray:
     if axis[2] < -1 + 1e-9:
         return np.array([1.0, 0.0, 0.0, 0.0])
     return so3.normalize(np.array([-axis[1], axis[0], 0.0, 1 + axis[2]]))
+
+
+def _followed_joints(rig: Rig) -> set[int]:
+    """Return the joints that mimic or driven joints follow."""
+    names = {joint.mimic.joint for joint in rig.joints if joint.mimic is not None}
+    if rig.is_driven:
+        names.update(*plan_of(rig).joints_read.values())
+    return {leader_of(rig, rig.index(name))[0] for name in names}
 
 
 def assemble_chain(

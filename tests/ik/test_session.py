@@ -166,6 +166,20 @@ def test_joints_that_follow_others_above_a_goal_move_with_them(
     assert found.positions[0, 0] == pytest.approx(miss, abs=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(6))
+def test_revolutions_of_a_leader_move_those_that_follow(seed: int) -> None:
+    joints = list(arm(6).joints)
+    joints[0] = replace(joints[0], limits=RangeLimit(3.0, 15.0))
+    joints[2] = replace(joints[2], mimic=Mimic("b0", 0.3, -1.0))
+    rig, goal = Rig("geared", tuple(joints)), Goal("b5", (0.2, 0.0, 0.0))
+    target = np.random.default_rng(seed).uniform(-1, 1, 3)
+    found = rig.ik(goal).solve(b5=target, start=[0.0] * 6)
+    placed = found.world()
+    reached = placed.positions[0, 5] + placed.linear[0, 5] @ [0.2, 0.0, 0.0]
+    miss = np.linalg.norm(reached - target)
+    assert found.positions[0, 0] == pytest.approx(miss, abs=1e-9)
+
+
 def test_joints_that_do_not_move_are_where_the_start_has_them() -> None:
     rig = arm(6)
     session = rig.ik(Goal("b5", (0.2, 0.0, 0.0), root="b2"))

@@ -52,8 +52,6 @@ _JOINT_TYPES = (JointType.FREE, JointType.BALL, JointType.PRISMATIC, JointType.P
 FREE, BALL, SLIDE, HINGE = range(4)
 # Limit of mass and inertia of a body [kg], [kg m²].
 MAX_MASS = 1e30
-# Rounding of limits and coefficients in a file [rad], [m].
-LIMIT_TOLERANCE = 1e-6
 # MuJoCo hides geoms of this group and above.
 HIDDEN_GROUP = 3
 _SHAPE_KINDS = {2: "sphere", 3: "capsule", 5: "cylinder", 6: "box"}
@@ -293,15 +291,7 @@ def _record_differences(
     hint = "the rest pose is still at 0; a take uses the nearest limit"
     add_note("MJC109", joints_without_zero, "0 is outside the limits of {}", hint)
     limited_joints = np.flatnonzero(model.jnt_limited).tolist()
-    joints_beyond_limits = [
-        j
-        for j in limited_joints
-        if (ends := equalities.range_of(model, j)) is not None
-        and not (
-            model.jnt_range[j, 0] - LIMIT_TOLERANCE <= min(ends)
-            and max(ends) <= model.jnt_range[j, 1] + LIMIT_TOLERANCE
-        )
-    ]
+    joints_beyond_limits = equalities.joints_beyond_limits(model)
     message = "equalities move {} beyond their limits"
     hint = "make their limits wider, or those of the joints that they follow narrower"
     add_note("MJC111", joints_beyond_limits, message, hint, Severity.WARNING)

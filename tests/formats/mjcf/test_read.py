@@ -249,6 +249,16 @@ def test_constants_hold_in_a_take(tmp_path: Path) -> None:
         ('<joint joint1="c" joint2="push" polycoef="0 2 0 0 0"/>', True),
         ('<joint joint1="c" joint2="push" polycoef="0 1 0 0 0"/>', False),
         ('<joint joint1="c" joint2="one" polycoef="0 9 0 0 0"/>', False),  # unlimited
+        (
+            '<joint joint1="c" joint2="one" polycoef="0 1 0 0 0"/><joint joint1="push" '
+            'joint2="one" polycoef="3 1 0 0 0"/>',
+            True,
+        ),
+        (
+            '<joint joint1="c" joint2="one" polycoef="0 1 0 0 0"/><joint joint1="push" '
+            'joint2="one" polycoef="2 1 0 0 0"/>',
+            False,
+        ),
         ('<joint joint1="c" polycoef="2 0 0 0 0"/>', True),
         ('<joint joint1="c" polycoef="1 0 0 0 0"/>', False),
     ],
