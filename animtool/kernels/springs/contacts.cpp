@@ -31,7 +31,7 @@ constexpr double MIDPOINT_FACTOR = 0.25;
 // Points of moving meshes are fine if their radius of curvature plus the contact distance is below
 // this fraction of the longest edge: they fit between particles and midpoints. Factor of the
 // contact distance for triangles; and the size of groups of fine points [longest edge].
-constexpr double FINE_RADIUS_FRACTION = 0.35, FINE_POINT_FACTOR = 0.5, FINE_GROUP_SIZE = 1;
+constexpr double FINE_RADIUS_FRACTION = 0.35, FINE_POINT_FACTOR = 0.5, FINE_GROUP_SIZE = 3;
 // Safety factor of the distance that a triangle moves in an interval.
 constexpr double FINE_REACH = 1.5;
 // Fraction of its clearance from fine points by which a triangle may move relative to the nearest
@@ -437,7 +437,7 @@ void SpringContacts::resolve_fine_points(StepState state,
           return (*particle_marks)[static_cast<std::size_t>(n)];
         }))
       continue;
-    if (is_still_clear(fine, state)) continue;
+    if (is_clear(fine, state)) continue;
     const double distance = contact_distances_[fine.collider];
     for (int count = 0; count < MAX_FINE_POINTS; ++count) {
       const double nearest_distance = find_fine_point(fine, state);
@@ -451,7 +451,7 @@ void SpringContacts::resolve_fine_points(StepState state,
   }
 }
 
-bool SpringContacts::is_still_clear(const FineTriangle& fine, const StepState& state) const {
+bool SpringContacts::is_clear(const FineTriangle& fine, const StepState& state) const {
   if (fine.clearance < 0) return false;
   const Vec point = mesh_at(step_colliders_[fine.collider], true).point(fine.point);
   double motion = 0;

@@ -144,7 +144,7 @@ class SpringContacts {
   // distance.
   double find_fine_point(FineTriangle& fine, const StepState& state) const;
   // Whether a triangle moved less than its clearance since the last search.
-  bool is_still_clear(const FineTriangle& fine, const StepState& state) const;
+  bool is_clear(const FineTriangle& fine, const StepState& state) const;
   // Collides the point of a triangle that is nearest to a point; returns whether it moved.
   bool resolve_triangle_point(std::size_t c, const std::int32_t* corners, collide::Vec nearby,
                               StepState& state, std::vector<std::uint8_t>* particle_marks);

@@ -11,9 +11,13 @@ namespace animtool {
 
 namespace {
 
+using collide::boxes_overlap;
 using collide::Collider;
+using collide::curvature_radius;
 using collide::load;
+using collide::max_of;
 using collide::Mesh;
+using collide::min_of;
 using collide::Shape;
 using collide::store;
 using collide::Vec;
@@ -50,7 +54,7 @@ FineFeatures mesh_features(const Collider& c, double longest_edge, double distan
       c.mesh, c.mesh_root, -infinite_extent, infinite_extent, [&](std::int32_t t) {
         triangles = std::max(triangles, t + 1);
         for (std::int32_t side = 0; side < 3; ++side) {
-          if (!(collide::curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge))
+          if (!(curvature_radius(c.mesh, t, side, longest_edge) + distance < longest_edge))
             continue;
           const std::int32_t* corner = c.mesh.triangles + 3 * t;
           const auto [i, j] = std::minmax(corner[side], corner[(side + 1) % 3]);
@@ -181,7 +185,7 @@ static bool may_touch(const FineFeatures& features, const Collider& c, Vec p, do
     return collide::squared_box_distance(p, c.mesh.bounds + 6 * c.mesh_root) <=
            max_distance * max_distance;
   const Vec a = features.points.front(), b = features.points.back();
-  return collide::boxes_overlap(p, p, collide::min_of(a, b), collide::max_of(a, b), max_distance);
+  return boxes_overlap(p, p, min_of(a, b), max_of(a, b), max_distance);
 }
 
 bool FaceContacts::may_touch_any(const StepCollider& c,
@@ -276,7 +280,7 @@ void FaceContacts::find_contacts(const FineFeatures& features, const StepCollide
       for (const auto* positions : {&from_, &to_}) {
         const Vec point =
             position_of(positions->data(), element.corners[static_cast<std::size_t>(k)]);
-        element.low = collide::min_of(element.low, point), element.high = collide::max_of(element.high, point);
+        element.low = min_of(element.low, point), element.high = max_of(element.high, point);
       }
   }
   const auto point_count = static_cast<std::int32_t>(features.points.size());
@@ -315,7 +319,7 @@ void FaceContacts::add_contacts(const FineFeatures& features, const Element& ele
   const auto index = static_cast<std::size_t>(feature);
   if (element.count == 3) {
     const Vec p = features.points[index];
-    if (collide::boxes_overlap(p, p, element.low, element.high, features.radius))
+    if (boxes_overlap(p, p, element.low, element.high, features.radius))
       add_pair<shapes::CornerPair>(
           {first_point + feature, element.corners[0], element.corners[1], element.corners[2]},
           features.radius);
@@ -324,7 +328,7 @@ void FaceContacts::add_contacts(const FineFeatures& features, const Element& ele
   const auto [i, j] = features.lines[index];
   const Vec a = features.points[static_cast<std::size_t>(i)];
   const Vec b = features.points[static_cast<std::size_t>(j)];
-  if (collide::boxes_overlap(collide::min_of(a, b), collide::max_of(a, b), element.low, element.high, features.radius))
+  if (boxes_overlap(min_of(a, b), max_of(a, b), element.low, element.high, features.radius))
     add_pair<shapes::EdgePair>(
         {element.corners[0], element.corners[1], first_point + i, first_point + j},
         features.radius);

@@ -229,8 +229,8 @@ void MovingSurface::find_fine_points(double max_radius, double max_size) {
   for (std::size_t node = node_count; node-- > 0;) {
     const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
     if (left >= 0)
-      has_fine[node] = has_fine[static_cast<std::size_t>(left)] |
-                       has_fine[static_cast<std::size_t>(right)];
+      has_fine[node] =
+          has_fine[static_cast<std::size_t>(left)] | has_fine[static_cast<std::size_t>(right)];
     else
       for (std::int32_t c = 3 * (-1 - left); c < 3 * (-1 - left + right); ++c)
         has_fine[node] |= is_fine_[static_cast<std::size_t>(mesh.triangles[c])];

@@ -143,10 +143,12 @@ class MovingSurface {
   // A box of a node at a fraction of the knot interval.
   std::array<collide::Vec, 2> box_at(std::int32_t node, double fraction) const {
     const auto row = 6 * static_cast<std::size_t>(node);
-    if (!(max_displacement_ > 0)) return {collide::load(&bounds_[row]), collide::load(&bounds_[row + 3])};
-    return {collide::load(&start_bounds_[row]) + collide::load(&shift_bounds_[row]) * fraction,
-            collide::load(&start_bounds_[row + 3]) +
-                collide::load(&shift_bounds_[row + 3]) * fraction};
+    if (!(max_displacement_ > 0))
+      return {collide::load(&bounds_[row]), collide::load(&bounds_[row + 3])};
+    const auto corner = [&](std::size_t k) {
+      return collide::load(&start_bounds_[k]) + collide::load(&shift_bounds_[k]) * fraction;
+    };
+    return {corner(row), corner(row + 3)};
   }
   // Any point of the triangles below a node.
   std::int32_t point_below(std::int32_t node) const;
