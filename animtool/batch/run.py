@@ -22,8 +22,9 @@ from animtool.batch.plan import (
 from animtool.batch.report import BatchReport, ItemReport
 from animtool.batch.spec import BatchSpec, path_of_name, relative_name
 from animtool.batch.work import ItemBuilder, ItemOutcome, ItemStatus
-from animtool.core.errors import Fault, OptionError
+from animtool.core.errors import Fault, OptionError, excerpt
 from animtool.core.files.leftovers import remove_leftovers
+from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 
 DEFAULT_EXECUTOR = "processes"
@@ -54,6 +55,14 @@ class RunOptions:
     retry_failed: bool = False
     max_failures: int | None = None
     overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        """Check the number of simultaneous items."""
+        jobs = self.jobs
+        if jobs is not None and (not isinstance(jobs, int) or jobs < 1):
+            message = f"jobs is {excerpt(str(jobs))}: it is a whole number from 1 up, "
+            message += "or None"
+            raise OptionError(Fault("SCN025", message))
 
 
 class RunListener:
@@ -98,6 +107,8 @@ def run_batch(
         LockedError: Another run is active (BAT010).
         OutputError: A folder cannot be written to (OUT002, BAT012).
     """
+    if not isinstance(spec, Batch):
+        check_loaded(spec, BatchSpec, "spec")
     start_time = time.perf_counter()
     options, listener = options or RunOptions(), listener or RunListener()
     batch = spec if isinstance(spec, Batch) else find_batch(spec)

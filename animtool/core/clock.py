@@ -92,6 +92,9 @@ class Clock:
                 message = f"{name} is {value!r}, which is not exact"
                 hint = "write a Fraction"
                 is_number = isinstance(value, float | Fraction)
+                if not is_number and not is_exact:
+                    message = f"{name} is {value!r}, which is not a number"
+                    hint = "write a whole number or a Fraction"
                 if name == "fps" and is_number and 0 < value < math.inf:
                     hint = f"write {rate_from_float(float(value))!r}"
                 faults.append(Fault("TAKE003", message, hint=hint))

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from os import PathLike
 from pathlib import Path
 
 # How each class is loaded from a file.
 _LOADERS = {
+    "BatchSpec": "load_batch({})",
     "Clip": "Clip.load({})",
     "Rig": "Rig.load({})",
     "TargetTracks": "load_targets({}, rig)",
@@ -57,6 +59,26 @@ def check_loaded(value: object, expected_class: type, name: str) -> None:
     hint = f"; write {remedy}" if remedy else ""
     expected_text = _with_article(class_name)
     raise TypeError(f"{name} is {value_text}, not {expected_text}{hint}")
+
+
+def path_list(paths: object, name: str) -> list[Path]:
+    """Return one path or several as a list; raise `TypeError` for other values.
+
+    >>> [path.name for path in path_list("walk.bvh", "files")]
+    ['walk.bvh']
+    """
+    if isinstance(paths, str | PathLike):
+        return [Path(paths)]
+    if not isinstance(paths, Iterable):
+        text = _with_article(type(paths).__name__)
+        raise TypeError(f"{name} is {text}, not a path of a file")
+    path_entries: list[Path] = []
+    for entry in paths:
+        if not isinstance(entry, str | PathLike):
+            text = _with_article(type(entry).__name__)
+            raise TypeError(f"{name} contains {text}, not only paths of files")
+        path_entries.append(Path(entry))
+    return path_entries
 
 
 def _with_article(noun: str) -> str:

@@ -11,14 +11,18 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import MISSING, field, fields, make_dataclass
+from enum import StrEnum
+from fractions import Fraction
 from functools import cache
 from typing import Any, ClassVar, Literal, TypeAlias, TypeVar, cast, get_type_hints
 
 from animtool.core.arguments import argument, as_text
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.names import most_similar
 from animtool.core.record import dataclass
+from animtool.core.units import LengthUnit, UpAxis, parse_length
 
 # Kind of a value, which determines its spelling in files and on the command line.
 OptionKind: TypeAlias = Literal[
@@ -183,9 +187,93 @@ def keys_of(record: Any, file_kind: FileKind | None = None) -> Mapping[str, Key]
 
 
 Record = TypeVar("Record")
+MemberT = TypeVar("MemberT", bound=StrEnum)
 _INHERITED_ATTRIBUTES = ("__module__", "__doc__")
 # Types of text values: lengths are text, angles are in degrees.
 _TEXT_VALUE_TYPES: dict[OptionKind, type] = {"length": str, "angle": float}
+
+
+def convert_option_values(record: Any) -> None:
+    """Convert text values of a frozen record's options to their types.
+
+    Units, up axes, lengths such as ``1mm`` and offsets of samples may be text or plain
+    numbers; other values, and unknown words of a choice, are refused (SCN025).
+    """
+    for name, declaration in options_of(record).items():
+        value = getattr(record, name)
+        convert = _VALUE_CONVERTERS.get(declaration.kind)
+        if value is None or convert is None:
+            continue
+        try:
+            converted_value = convert(value, declaration)
+        except (TypeError, ValueError) as error:
+            message = f"{name} is {excerpt(str(value))}: {error}"
+            raise OptionError(Fault("SCN025", message)) from error
+        if converted_value is not value:
+            object.__setattr__(record, name, converted_value)
+
+
+def _unit(value: Any, _: Option) -> LengthUnit:
+    return value if isinstance(value, LengthUnit) else _member(LengthUnit, value)
+
+
+def _axis(value: Any, _: Option) -> UpAxis:
+    if isinstance(value, UpAxis):
+        return value
+    return _member(UpAxis, str(value).upper())
+
+
+def _member(choices: type[MemberT], word: Any) -> MemberT:
+    _check_word(str(word), [str(choice) for choice in choices])
+    return choices(str(word))
+
+
+def _choice(value: Any, declaration: Option) -> Any:
+    keys = (declaration.scene, declaration.batch)
+    words = dict.fromkeys(declaration.choices)
+    words |= dict.fromkeys(word for each in keys if each for word in each.choices)
+    if words:
+        _check_word(str(value), list(words))
+    return value
+
+
+def _check_word(word: str, words: Sequence[str]) -> None:
+    """Raise `ValueError` for a word that is not among the allowed ones."""
+    if word not in words:
+        suggestion = most_similar(word, words)
+        hint = f"; did you mean {suggestion!r}?" if suggestion else ""
+        raise ValueError(f"it is one of {', '.join(words)}{hint}")
+
+
+def _length(value: Any, _: Option) -> float:
+    return parse_length(value) if isinstance(value, str) else value
+
+
+def _codes(value: Any, _: Option) -> Any:
+    return (value,) if isinstance(value, str) else value
+
+
+def _processes(value: Any, _: Option) -> Any:
+    if not isinstance(value, int) or value < 1:
+        raise ValueError("it is a whole number from 1 up, or None")
+    return value
+
+
+def _offsets(value: Any, _: Option) -> tuple[Fraction, ...]:
+    if isinstance(value, tuple) and all(isinstance(each, Fraction) for each in value):
+        return value
+    return tuple(Fraction(str(each)) for each in value)
+
+
+_VALUE_CONVERTERS: dict[OptionKind, Callable[[Any, Option], Any]] = {
+    "unit": _unit,
+    "axis": _axis,
+    "choice": _choice,
+    "length": _length,
+    "offsets": _offsets,
+    "codes": _codes,
+    "processes": _processes,
+}
 
 
 def with_text_values(

@@ -107,10 +107,12 @@ def rate_from_frame_time(text: str) -> RateChoice:
     exact_rate = 1 / Fraction(frame_time)
 
     matching_rates = _integers_that_print(Fraction(frame_time), digits)
+    common_rates = [n for n in matching_rates if n in COMMON_RATES]
     if exact_rate in matching_rates:
-        return RateChoice(exact_rate, RateKind.REPRINTED)
+        # A common rate may be written with few digits, as 0.04.
+        other_rates = () if exact_rate in common_rates else tuple(common_rates)
+        return RateChoice(exact_rate, RateKind.REPRINTED, other_rates)
     if matching_rates:
-        common_rates = [n for n in matching_rates if n in COMMON_RATES]
         best_integer = min(
             common_rates or matching_rates, key=lambda n: abs(n - exact_rate)
         )

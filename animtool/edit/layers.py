@@ -119,13 +119,49 @@ def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
     """Run the pass: blend with another take."""
     warnings = weight_warnings(options.weight, take.clock, in_shot=context.in_shot)
     context.notices.extend(warnings)
-    return blend(
+    other = context.take(options.take)
+    blended_take = blend(
         take,
-        context.take(options.take),
+        other,
         weight=options.weight,
         interpolation=options.interpolation,
         delay=options.delay,
     )
+    context.notices.extend(_distance_warning(take, other, blended_take.clock, options))
+    return blended_take
+
+
+# Takes this many sizes of the rig apart are not blended without a visible slide [1].
+MAX_BLEND_DISTANCE = 2.0
+
+
+def _distance_warning(
+    take: Take, other: Take, clock: Clock, options: BlendOptions
+) -> list[Fault]:
+    """Return a warning if roots are far apart while a weight changes (SCN122)."""
+    if isinstance(options.weight, (int, float)) or not take.rig.joints:
+        return []
+    weights = weights_at(options.weight, clock.times, options.interpolation)
+    (changing_frames,) = np.nonzero(np.diff(weights))
+    if not len(changing_frames):
+        return []
+    delay_frames = exact_fraction(options.delay, "delay") / clock.step
+    other = match_rig(take.rig, other)
+    root, positions = int(take.rig.roots[0]), []
+    for each, delay in ((take, Fraction(0)), (other, delay_frames)):
+        motion = sample_other_take(each, clock.rate, 0, clock.count, delay)
+        frames = motion.translations.gather(np.array([root]))[:, 0]
+        positions.append(np.broadcast_to(frames, (clock.count, 3))[changing_frames])
+    distances = np.linalg.norm(positions[0] - positions[1], axis=1)
+    worst = int(distances.argmax())
+    if distances[worst] <= MAX_BLEND_DISTANCE * rest_size(take.rig):
+        return []
+    time_code = float(clock.times[changing_frames[worst]])
+    message = f"the takes are {length_text(float(distances[worst]))} apart at frame "
+    message += f"{time_code:g}, where the weight changes: the body slides from one to "
+    message += "the other"
+    hint = "bring one of them to where the other is, or blend where they meet"
+    return [warning("SCN122", message, hint)]
 
 
 def _check_blend(options: BlendOptions) -> OptionChecks:

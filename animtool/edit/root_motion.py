@@ -104,6 +104,11 @@ def extract_root(
     if root_index not in take.rig.upwards(hip_index)[1:]:
         name = take.rig.names[hip_index]
         message, hint = f"{root!r} is not above {name!r}", "choose other hips"
+        if hip_index == root_index:
+            top = take.rig.names[take.rig.roots[0]]
+            message = f"{root!r} has no joint below it whose travel it could get"
+            hint = "name a joint above the hips, or a new one: "
+            hint += f"{argument('root', 'root')} is added above {top!r}"
         if hips and hip_index in take.rig.upwards(root_index)[1:]:
             message = f"{root!r} is below {name!r}: the root and the hips are exchanged"
             hint = f"write {argument('root', name)}, {argument('hips', root)}"

@@ -20,17 +20,17 @@ from animtool.ik.driver_programs import (
 )
 from animtool.ik.goals import Goal
 from animtool.ik.limbs import limb_joints
+from animtool.ik.sub_rig import UNLIMITED, coordinate_ranges, leader_of
 from animtool.maths import so3
+from animtool.rig.driver_plan import plan_of
 from animtool.rig.joints import (
     LocalTransforms,
     coordinate_slices,
     local_from_coordinates,
 )
 from animtool.rig.kinematics import forward_kinematics
-from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.limits import BallLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
-
-UNLIMITED = (-np.inf, np.inf)
 
 
 @dataclass
@@ -53,7 +53,8 @@ class _ChainBuilder:
     def __init__(self, rig: Rig, pose: FloatArray) -> None:
         self.rig = rig
         self.slices = coordinate_slices(rig)
-        self.ranges = _coordinate_ranges(rig)
+        self.ranges = coordinate_ranges(rig)
+        self.followed = _followed_joints(rig)
         self.nodes: list[list[int]] = []
         self.rest_matrices: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
@@ -87,7 +88,7 @@ class _ChainBuilder:
         }
         for j, joint in enumerate(self.rig.joints):
             if joint.type in {JointType.PIN, JointType.PRISMATIC}:
-                leader, gain, shift = _leader_of(self.rig, j)
+                leader, gain, shift = leader_of(self.rig, j)
                 if leader in self.leader_columns:
                     column = self.leader_columns[leader]
                     sources[j] = CoordinateSource(column, gain, shift)
@@ -122,7 +123,7 @@ class _ChainBuilder:
 
     def _add_axis_joint(self, joint_index: int, frame: _Frame) -> _Frame:
         """Append the node of a pin or prismatic joint; return its frame."""
-        leader, gain, shift = _leader_of(self.rig, joint_index)
+        leader, gain, shift = leader_of(self.rig, joint_index)
         joint = self.rig.joints[joint_index]
         kind = PIN if joint.type is JointType.PIN else SLIDE
         rotation = _rotation_from_z(np.asarray(joint.axis, np.float64))
@@ -147,7 +148,9 @@ class _ChainBuilder:
         self.rig_columns.append(self.slices[leader].start)
         self.is_length.append(is_length)
         is_full = high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
-        is_unlimited = is_full and not is_length and gain == 1.0
+        # A revolution of a joint moves those that follow it by another angle.
+        is_periodic = not is_length and gain == 1.0 and leader not in self.followed
+        is_unlimited = is_full and is_periodic
         has_period = is_unlimited and math.isfinite(high - low)
         self.periods.append((low, high) if has_period else UNLIMITED)
         limit = (*(UNLIMITED if is_unlimited else (low, high)), 0.0, 0.0)
@@ -182,36 +185,12 @@ def _rotation_from_z(axis: FloatArray) -> FloatArray:
     return so3.normalize(np.array([-axis[1], axis[0], 0.0, 1 + axis[2]]))
 
 
-def _leader_of(rig: Rig, joint: int) -> tuple[int, float, float]:
-    """Return the leader of a mimic joint, with gain and offset."""
-    gain, shift = 1.0, 0.0
-    visited_joints = set()
-    while (
-        mimic := rig.joints[joint].mimic
-    ) is not None and joint not in visited_joints:
-        visited_joints.add(joint)
-        shift += gain * mimic.offset
-        gain *= mimic.gain
-        joint = rig.index(mimic.joint)
-    return joint, gain, shift
-
-
-def _coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
-    """Return coordinate limits by joint, narrowed by the limits of mimic joints."""
-    ranges: dict[int, tuple[float, float]] = {}
-    for j, joint in enumerate(rig.joints):
-        if not isinstance(joint.limits, RangeLimit):
-            continue
-        if joint.type not in {JointType.PIN, JointType.PRISMATIC}:
-            continue
-        leader, gain, shift = _leader_of(rig, j)
-        if gain == 0:
-            continue
-        ends = (joint.limits.low, joint.limits.high)
-        range_start, range_end = sorted((end - shift) / gain for end in ends)
-        low, high = ranges.get(leader, UNLIMITED)
-        ranges[leader] = max(low, range_start), min(high, range_end)
-    return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
+def _followed_joints(rig: Rig) -> set[int]:
+    """Return the joints that mimic or driven joints follow."""
+    names = {joint.mimic.joint for joint in rig.joints if joint.mimic is not None}
+    if rig.is_driven:
+        names.update(*plan_of(rig).joints_read.values())
+    return {leader_of(rig, rig.index(name))[0] for name in names}
 
 
 def assemble_chain(

@@ -61,10 +61,10 @@ def follow(
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        start: Start of the first frame ``(Q,)``; None is the rest pose. If every path
-            from its solution jumps, another solution is taken. Or the poses of a clip
-            ``(F, Q)``: then each frame starts from its pose, and the change from it is
-            tracked and smoothed.
+        start: Start of the first frame ``(Q,)``; None is the problem's pose. If every
+            path from its solution jumps, another solution is taken. Or the poses of a
+            clip ``(F, Q)``: then each frame starts from its pose, and the change from
+            it is tracked and smoothed.
         targets: Targets of F frames.
         options: Rate, smoothing, and how to solve.
         prefer: Preferred pose ``(Q,)`` or ``(F, Q)``, weighted by the problem's

@@ -10,6 +10,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.record import dataclass
 from animtool.ik.goals import Goal, path_to_root
+from animtool.ik.sub_rig import leader_of
 from animtool.rig.controls import Control
 from animtool.rig.driver_plan import DriverPlan, plan_of
 from animtool.rig.drivers import (
@@ -55,6 +56,8 @@ def with_driver_sources(
     A driven joint moves if one of its sources may move, whether it is named or not.
     """
     plan, moving_joints = plan_of(rig), set(joints_of_goals)
+    # Mimic joints that move take their leaders along.
+    leaders = {leader_of(rig, j)[0] for j in joints_of_goals}
     joints_above_goals = {
         j for goal in goals for j in path_to_root(rig, goal.joint, goal.root)
     }
@@ -65,7 +68,7 @@ def with_driver_sources(
         movable_sources = {
             source
             for source in plan.sources_of(j)
-            if (joints is None or rig.names[source] in joints)
+            if (joints is None or rig.names[source] in joints or source in leaders)
             and rig.joints[source].type is not JointType.FIXED
         }
         moving_joints.discard(j)

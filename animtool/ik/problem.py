@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import field
+from dataclasses import field, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from animtool.core.arguments import argument
-from animtool.core.array_types import ArrayLike, as_floats
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray, as_floats
 from animtool.core.errors import Fault, OptionError, counted, excerpt, listed
 from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
@@ -19,6 +19,9 @@ from animtool.ik.chain import Chain
 from animtool.ik.driver_programs import with_driver_sources
 from animtool.ik.goals import MAX_COORDINATE, Goal, goal_faults
 from animtool.ik.limbs import GoalLimb, find_limbs
+from animtool.ik.sub_rig import leader_of, start_coordinates, with_mimics
+from animtool.rig.driver_plan import plan_of
+from animtool.rig.joints import coordinate_slices
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
 
@@ -39,6 +42,7 @@ class Problem:
         length: Unit of lengths inside the solver: the longest bone path to a goal [m].
         rest_weight: Weight of the preferred pose in the sum of squares.
         chain: The kinematic chain of the joints.
+        pose: Pose ``(Q,)`` of the joints that do not move, and the default start.
         limbs: Soft and stretching limbs.
         solver_cache: Cached solver inputs, by name.
     """
@@ -51,6 +55,7 @@ class Problem:
     length: float
     rest_weight: float
     chain: Chain = field(repr=False)
+    pose: FloatArray = field(repr=False, compare=False)
     limbs: tuple[GoalLimb, ...] = field(default=(), repr=False)
     solver_cache: dict[str, Any] = field(
         default_factory=dict, init=False, repr=False, compare=False
@@ -93,7 +98,7 @@ def build(
         joints: Names of the joints that may move; None selects every joint that moves a
             goal.
         pose: Coordinates ``(Q,)`` of the joints that do not move; None is the rest
-            pose.
+            pose, with joints that it has outside their limits at the nearest one.
         rest_weight: Weight of the pose passed to `solve` as ``prefer``: of squared
             angles and relative lengths from it. Goals are then missed by about as much.
 
@@ -127,13 +132,17 @@ def build(
     faults = _input_faults(rig, goals, joints, rest_weight)
     if faults:
         raise OptionError(faults)
-    pose_coordinates = np.zeros(rig.coordinates)
-    if pose is not None:
+    if pose is None:
+        pose_coordinates = start_coordinates(rig)[0]
+    else:
         pose_coordinates = as_floats(pose, (rig.coordinates,), "pose")
     moving_joints = find_moving_joints(rig, goals, joints)
     faults = _immovable_faults(rig, goals, moving_joints, joints)
     if faults:
         raise OptionError(faults)
+    joint_names = tuple(rig.names[j] for j in sorted(moving_joints))
+    # As in results.
+    pose_coordinates = with_mimics(rig, pose_coordinates[None], joint_names)[0]
     chain, faults = assemble_chain(rig, goals, moving_joints, pose_coordinates)
     limbs: tuple[GoalLimb, ...] = ()
     if not faults:
@@ -143,12 +152,13 @@ def build(
     return Problem(
         rig,
         tuple(goals),
-        tuple(rig.joints[j].name for j in sorted(moving_joints)),
+        joint_names,
         chain.degrees,
         sum(goal.rows for goal in goals),
         chain.length,
         rest_weight,
         chain,
+        pose_coordinates,
         limbs,
     )
 
@@ -202,7 +212,10 @@ def _is_reversed(limits: RangeLimit | BallLimit | None) -> bool:
 def find_moving_joints(
     rig: Rig, goals: Sequence[Goal], joints: Collection[str] | None = None
 ) -> set[int]:
-    """Return the allowed joints that move a goal; None allows all joints."""
+    """Return the allowed joints that move a goal; None allows all joints.
+
+    Above a goal, joints that follow a moving joint or lead it are moving, too.
+    """
     moving_joints: set[int] = set()
     for goal in goals:
         j = rig.index(goal.joint)
@@ -219,9 +232,46 @@ def find_moving_joints(
             if is_sliding or any(joint.translation):
                 ignores_rotation = False
             j = -1 if joint.name == goal.root else joint.parent
+    moving_joints = _with_followers(rig, goals, joints, moving_joints)
     if rig.is_driven:
-        return with_driver_sources(rig, moving_joints, goals, joints)
+        moving_joints = with_driver_sources(rig, moving_joints, goals, joints)
+        moving_joints = _with_followers(rig, goals, joints, moving_joints)
     return moving_joints
+
+
+def _with_followers(
+    rig: Rig,
+    goals: Sequence[Goal],
+    joints: Collection[str] | None,
+    moving_joints: set[int],
+) -> set[int]:
+    """Return moving joints with the mimic joints above goals that move with them."""
+    if joints is None and not any(goal.root for goal in goals):
+        return moving_joints
+    leaders = {leader_of(rig, j)[0] for j in moving_joints}
+    all_joints = find_moving_joints(rig, [replace(goal, root=None) for goal in goals])
+    return moving_joints | {j for j in all_joints if leader_of(rig, j)[0] in leaders}
+
+
+def fixed_columns(problem: Problem) -> IntArray:
+    """Return columns of joints that do not move, but would move a goal ``(C,)``.
+
+    In a rig with drivers, which may read any joint, of all that are not driven.
+    """
+    rig = problem.rig
+    goals = [replace(goal, root=None) for goal in problem.goals]
+    if rig.is_driven:
+        joints = set(range(len(rig.joints))).difference(plan_of(rig).joints)
+    else:
+        joints = find_moving_joints(rig, goals)
+    names, slices = set(problem.joints), coordinate_slices(rig)
+    columns = [
+        column
+        for j in sorted(joints)
+        if rig.joints[j].name not in names
+        for column in range(slices[j].start, slices[j].stop)
+    ]
+    return np.array(columns, np.int64)
 
 
 def _immovable_faults(

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, FloatArray
+from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
 from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
 from animtool.ik.options import IkOptions
-from animtool.ik.problem import Problem, build
+from animtool.ik.problem import Problem, build, fixed_columns
 from animtool.ik.result import IkResult
 from animtool.ik.rig_solver import ClosedForm, build_solver, closed_form
 from animtool.ik.solving import (
@@ -24,12 +24,13 @@ from animtool.ik.solving import (
     result_of_kernel,
     solve,
 )
-from animtool.rig.joints import rest_coordinates
 
 if TYPE_CHECKING:
     from animtool import _kernels
     from animtool.rig.skeleton import Rig
 
+# Differences below are rounding [rad], [m].
+POSE_TOLERANCE = 1e-12
 # Kinds of a plain joint goal: a position, a rotation, or both.
 JOINT_KINDS = (KINDS[0], KINDS[1])
 # The goals of a call in order, each with a mask of its kinds.
@@ -43,9 +44,21 @@ class _PackedProblem:
     problem: Problem
     solver: _kernels.RigSolver
     has_branches: bool
-    rest: FloatArray  # rest pose ``(1, Q)``
+    # Columns of joints that do not move, but would move a goal.
+    fixed_columns: IntArray
     targets: FloatArray  # packed target buffer ``(1, E, W)``
     views: tuple[FloatArray, ...]  # views into the buffer, one per used part
+
+    def fits(self, pose: FloatArray) -> bool:
+        """Return whether joints that do not move have their values in a pose ``(Q,)``.
+
+        An invalid pose fits: the solve refuses it.
+        """
+        columns, problem_pose = self.fixed_columns, self.problem.pose
+        if pose is problem_pose or not columns.size or pose.shape != problem_pose.shape:
+            return True
+        offsets = np.abs(pose.take(columns) - problem_pose.take(columns))
+        return bool(offsets.max() <= POSE_TOLERANCE) or not np.isfinite(pose).all()
 
 
 class Session:
@@ -62,8 +75,7 @@ class Session:
             for position, rotation, or both; or a `Goal` for anything else.
         joints: Names of the joints that may move; None selects every joint that moves a
             goal.
-        pose: Coordinates ``(Q,)`` of the joints that do not move; None is the rest
-            pose.
+        pose: Coordinates ``(Q,)`` of the joints that do not move, see `build`.
         options: Tolerances, budget, seed.
         rest_weight: Weight of the preferred pose, see `build`.
 
@@ -118,7 +130,9 @@ class Session:
 
         Args:
             targets: Targets by goal name, for names that are not Python identifiers.
-            start: Pose ``(Q,)``; None is the rest pose.
+            start: Pose ``(Q,)``, also of the joints that do not move; None is the
+                ``pose`` of the session. A call in which those have other values than
+                in the call before takes as long as a first one.
             prefer: Preferred pose ``(Q,)`` of ``rest_weight``; None is the start.
             named: Targets by keyword. For a joint a world point ``(3,)`` [m], or a pair
                 of that and a quaternion x y z w, either of them None; for a `Goal` the
@@ -128,15 +142,16 @@ class Session:
         Raises:
             OptionError: As for `build` and `solve`.
         """
-        values_by_goal = named if targets is None else {**targets, **named}
-        packed_problem, buffer = self._fill_buffer(values_by_goal)
+        values_by_goal = self._values_by_goal(targets, named)
+        packed_problem, buffer = self._fill_buffer(values_by_goal, start)
         problem, solver = packed_problem.problem, packed_problem.solver
         if self.options.near or self.rig.is_driven:
             buffered_targets = _targets_of_buffer(buffer)
+            start = self._pose if start is None else start
             return solve(problem, start, buffered_targets, self.options, prefer=prefer)
-        start_rows = packed_problem.rest
-        if start is not None:
-            start_rows = np.asarray(start, np.float64)[None]
+        start_rows = np.asarray(self._pose if start is None else start, np.float64)[
+            None
+        ]
         preferred_rows = None
         if prefer is not None:
             preferred_rows = np.asarray(prefer, np.float64)[None]
@@ -172,8 +187,8 @@ class Session:
             OptionError: The arm has no closed form (IK015): six pins in a row, of which
                 the last three meet or the middle ones are parallel; and as for `solve`.
         """
-        values_by_goal = named if targets is None else {**targets, **named}
-        packed_problem, target_buffer = self._fill_buffer(values_by_goal)
+        values_by_goal = self._values_by_goal(targets, named)
+        packed_problem, target_buffer = self._fill_buffer(values_by_goal, start)
         problem = packed_problem.problem
         if not packed_problem.has_branches:
             names = ", ".join(values_by_goal)
@@ -181,9 +196,7 @@ class Session:
             hint = "six pins in a row, the last three meeting in a point or the second "
             hint += "to fourth parallel, with a position and a rotation to reach"
             raise OptionError(Fault("IK015", message, hint=hint))
-        start_pose = (
-            packed_problem.rest[0] if start is None else np.asarray(start, np.float64)
-        )
+        start_pose = np.asarray(self._pose if start is None else start, np.float64)
         try:
             return packed_problem.solver.branches(start_pose, target_buffer[0])
         except (TypeError, ValueError):
@@ -192,12 +205,25 @@ class Session:
             start_pose = pose_rows(problem, start, 1, "start")[0]
             return packed_problem.solver.branches(start_pose, repacked_targets[0])
 
+    def _values_by_goal(
+        self, targets: object, named: Mapping[str, Any]
+    ) -> Mapping[str, Any]:
+        """Return the targets of both arguments by the names of their goals."""
+        if targets is None:
+            return named
+        if not isinstance(targets, Mapping):
+            name = next(iter(self._goals), "GOAL")
+            message = f"targets is a {type(targets).__name__}, not a mapping; write "
+            raise TypeError(f"{message}{{{name!r}: TARGET}}")
+        return {**targets, **named}
+
     def _fill_buffer(
-        self, values_by_goal: Mapping[str, Any]
+        self, values_by_goal: Mapping[str, Any], start: ArrayLike | None
     ) -> tuple[_PackedProblem, FloatArray]:
         """Fill the target buffer of a call's goals; return it after their problem.
 
-        Problems are kept, and used again by calls with goals of the same kinds.
+        Problems are kept, and used again by calls with goals of the same kinds, while
+        the joints that do not move have the same values in the start.
         """
         requested_kinds: list[tuple[str, tuple[bool, ...]]] = []
         target_values: list[Any] = []
@@ -210,7 +236,15 @@ class Session:
             target_values += goal_targets
         packed_problem = self._packed_problems.get(key := tuple(requested_kinds))
         if packed_problem is None:
-            packed_problem = self._packed_problems[key] = self._pack_problem(key)
+            packed_problem = self._pack_problem(key, self._pose)
+            self._pose = packed_problem.problem.pose
+        try:
+            pose = np.asarray(self._pose if start is None else start, np.float64)
+        except (TypeError, ValueError):
+            pose = packed_problem.problem.pose  # refused by the solve
+        if not packed_problem.fits(pose):
+            packed_problem = self._pack_problem(key, pose)
+        self._packed_problems[key] = packed_problem
         try:
             for view, target in zip(packed_problem.views, target_values, strict=True):
                 if len(target) != len(view):
@@ -220,7 +254,9 @@ class Session:
             raise _shape_error(values_by_goal) from error
         return packed_problem, packed_problem.targets
 
-    def _pack_problem(self, requested_kinds: RequestedKinds) -> _PackedProblem:
+    def _pack_problem(
+        self, requested_kinds: RequestedKinds, pose: ArrayLike | None
+    ) -> _PackedProblem:
         """Return the packed problem of the given goals, with a target buffer."""
         goals = [
             self._goals[name] or _goal_of_call(self.rig, name, kind_mask)
@@ -230,7 +266,7 @@ class Session:
             self.rig,
             goals,
             joints=self._joints,
-            pose=self._pose,
+            pose=pose,
             rest_weight=self._rest_weight,
         )
         targets = np.zeros((1, len(goals), WEIGHT_COLUMNS.stop))
@@ -243,9 +279,9 @@ class Session:
         ]
         solver = build_solver(problem, self.options)
         has_branches = closed_form(problem) is ClosedForm.ARM
-        rest = rest_coordinates(self.rig, 1)
+        columns = fixed_columns(problem)
         return _PackedProblem(
-            problem, solver, has_branches, rest, targets, tuple(views)
+            problem, solver, has_branches, columns, targets, tuple(views)
         )
 
 

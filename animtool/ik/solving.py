@@ -19,7 +19,6 @@ from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.rig_solver import CLOSED_FORM_METHODS, KernelSolution, build_solver
 from animtool.ik.sub_rig import with_mimics
 from animtool.ik.two_bone import incompatibility
-from animtool.rig.joints import rest_coordinates
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
 
@@ -55,8 +54,8 @@ def solve(
 
     Args:
         problem: E goals over a rig of Q coordinates.
-        start: ``(Q,)`` for all, or ``(B, Q)``; None is the rest pose. Clamped to the
-            limits.
+        start: ``(Q,)`` for all, or ``(B, Q)``; None is the problem's pose. Clamped to
+            the limits. Joints that do not move need their values in the problem's pose.
         targets: Targets of B problems.
         options: Tolerances, budget, seed.
         prefer: Preferred pose ``(Q,)`` or ``(B, Q)``, weighted by the problem's
@@ -204,10 +203,9 @@ def raise_faults(faults_by_option: Mapping[str, list[Fault]]) -> None:
 def pose_rows(
     problem: Problem, pose: ArrayLike | None, batch_size: int, name: str
 ) -> FloatArray:
-    """Return poses as ``(B, Q)``; a single pose is repeated for the batch."""
+    """Return poses ``(B, Q)``, by default the problem's; one is for the whole batch."""
     coordinate_count = problem.coordinates
-    rest = rest_coordinates(problem.rig, 1)[0]
-    rows = rest if pose is None else np.asarray(pose, np.float64)
+    rows = problem.pose if pose is None else np.asarray(pose, np.float64)
     if rows.shape not in {(coordinate_count,), (batch_size, coordinate_count)}:
         message = f"{name} must have shape ({coordinate_count},) or "
         message += f"({batch_size}, {coordinate_count})"

@@ -12,8 +12,11 @@ from animtool.rig.controls import Control
 from animtool.rig.driver_plan import plan_of
 from animtool.rig.drivers import split_coordinate
 from animtool.rig.driving import driven_coordinates
-from animtool.rig.joints import coordinate_slices
+from animtool.rig.joints import coordinate_slices, rest_coordinates
+from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
+
+UNLIMITED = (-np.inf, np.inf)
 
 
 def find_mimics(rig: Rig, joint_names: Collection[str]) -> list[str]:
@@ -63,6 +66,65 @@ def with_mimics(
     return (
         driven_coordinates(plan_of(rig), coordinates) if rig.is_driven else coordinates
     )
+
+
+def leader_of(rig: Rig, joint: int) -> tuple[int, float, float]:
+    """Return the leader of a mimic joint, with gain and offset."""
+    gain, shift = 1.0, 0.0
+    visited_joints = set()
+    while (
+        mimic := rig.joints[joint].mimic
+    ) is not None and joint not in visited_joints:
+        visited_joints.add(joint)
+        shift += gain * mimic.offset
+        gain *= mimic.gain
+        joint = rig.index(mimic.joint)
+    return joint, gain, shift
+
+
+def coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
+    """Return coordinate limits by joint, narrowed by the limits of mimic joints."""
+    ranges: dict[int, tuple[float, float]] = {}
+    for j, joint in enumerate(rig.joints):
+        if not isinstance(joint.limits, RangeLimit):
+            continue
+        if joint.type not in {JointType.PIN, JointType.PRISMATIC}:
+            continue
+        leader, gain, shift = leader_of(rig, j)
+        if gain == 0:
+            continue
+        ends = (joint.limits.low, joint.limits.high)
+        range_start, range_end = sorted((end - shift) / gain for end in ends)
+        low, high = ranges.get(leader, UNLIMITED)
+        ranges[leader] = max(low, range_start), min(high, range_end)
+    return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
+
+
+def start_coordinates(rig: Rig) -> FloatArray:
+    """Return the rest pose ``(1, Q)``, within limits as of `within_limits`.
+
+    >>> from animtool.rig.skeleton import Joint, JointType
+    >>> from animtool.rig.limits import RangeLimit
+    >>> knee = Joint("knee", -1, JointType.PIN, limits=RangeLimit(0.1, 2.0))
+    >>> start_coordinates(Rig("leg", (knee,))).tolist()
+    [[0.1]]
+    """
+    return within_limits(rig, rest_coordinates(rig, 1))
+
+
+def within_limits(rig: Rig, coordinates: FloatArray) -> FloatArray:
+    """Return coordinates ``(B, Q)`` with pins and slides clamped to their limits.
+
+    Mimic and driven joints follow, the mimic ones within theirs.
+    """
+    coordinates, slices = coordinates.copy(), coordinate_slices(rig)
+    for j, (low, high) in coordinate_ranges(rig).items():
+        coordinates[:, slices[j]] = np.clip(coordinates[:, slices[j]], low, high)
+    coordinates = with_mimics(rig, coordinates, rig.names)
+    # Drivers that read no joint are set here.
+    if rig.is_driven:
+        coordinates = driven_coordinates(plan_of(rig), coordinates)
+    return coordinates
 
 
 def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:

@@ -57,7 +57,17 @@ def find_shape_faults(
         ):
             if expected_shape != shape:
                 message = f"{name}.{part} must have shape {expected_shape}, not {shape}"
-                faults.append(Fault("TAKE001", message))
+                hint = None
+                if part == "rest" and width > 1 and shape[1:] == (width,):
+                    hint = f"the motion is that of a rig with {shape[0]} joints, and "
+                    hint += (
+                        f"{rig.name!r} has {count}; animtool.retarget.retarget_take "
+                    )
+                    hint += "moves a take to another rig"
+                elif part == "values" and shape[1:] == expected_shape[1:]:
+                    hint = f"the clock has {counted(frames, 'frame')}, and the motion "
+                    hint += f"{shape[0]}: write count={shape[0]} in the clock"
+                faults.append(Fault("TAKE001", message, hint=hint))
         bounded_indices = [-1, *channel.animated.ravel().tolist(), count]
         if not all(a < b for a, b in pairwise(bounded_indices)):
             message = f"{name}.animated must ascend from 0 to below {count}"
@@ -217,6 +227,7 @@ class TakeStream:
             source.
         tracks: Props and cameras, whose times are in the blocks; most takes have none.
         points: Names of the meshes and strands with simulated points.
+        unread_meshes: Names of the skinned meshes of the source that the rig lacks.
         simulated: Reports of simulations as plain values; complete once the blocks are
             read.
         scores: Scores of passes; complete once the blocks are read.
@@ -237,6 +248,7 @@ class TakeStream:
     control_curves: dict[str, Curves] = field(default_factory=dict)
     tracks: tuple[Track, ...] = ()
     points: frozenset[str] = frozenset()
+    unread_meshes: tuple[str, ...] = ()
     simulated: list[dict[str, object]] = field(default_factory=list)
     scores: list[PassScores] = field(default_factory=list)
     dropped: Callable[[FloatArray], Placement] | None = None

@@ -15,6 +15,7 @@ import numpy as np
 from animtool.core.clock import time_codes
 from animtool.core.errors import AnimtoolError, Fault, OptionError, Severity, counted
 from animtool.core.files.output import check_outputs, protect_inputs, write_parts
+from animtool.core.loaded import path_list
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
 from animtool.core.units import UpAxis, up_from_up
@@ -111,7 +112,7 @@ class PageReport:
 
 
 def write_page(
-    files: Sequence[Path | str],
+    files: Path | str | Sequence[Path | str],
     output: Path,
     options: PreviewOptions | None = None,
     *,
@@ -125,7 +126,7 @@ def write_page(
         options: What the page shows.
         overwrite: Replace an existing page.
     """
-    paths = [Path(file) for file in files]
+    paths = path_list(files, "files")
     check_page_output(output, paths, overwrite=overwrite)
     if options is not None and isinstance(options.frame_range, FrameList):
         message = "a page plays a range of frames"

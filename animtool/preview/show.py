@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
+from animtool.core.loaded import path_list
 from animtool.motion.take import Take, TakeStream
 from animtool.preview.build import PreviewPage, make_page, make_take_page
 from animtool.preview.options import PictureOptions, PreviewOptions
@@ -134,5 +135,4 @@ def show(
     """
     if isinstance(shown, Take | TakeStream):
         return Preview(shown, options, height)
-    files = [shown] if isinstance(shown, Path | str) else list(shown)
-    return Preview([Path(file) for file in files], options, height)
+    return Preview(path_list(shown, "shown"), options, height)

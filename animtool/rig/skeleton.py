@@ -261,6 +261,8 @@ class Rig:
         1
         """
         if name not in self._index:
+            if not isinstance(name, str):
+                raise TypeError(f"name is {name!r}, not the name of a joint")
             message = f"unknown joint {excerpt(name)} of {self.name!r}"
             hint = self.joint_hint(name)
             raise OptionError(Fault("RIG008", message, hint=hint))
@@ -278,7 +280,7 @@ class Rig:
         """
         names = [*other_names, *self.names]
         similar_name = most_similar(name, names)
-        if not self.joints:
+        if not self.joints or similar_name in other_names:
             return name_hint(name, names)
         part_names: Any = load_object("animtool.retarget.anatomy:joints_of_part")
         part_text, joints = part_names(self, name)

@@ -12,7 +12,12 @@ from animtool.core.arguments import argument
 from animtool.core.config import find_config
 from animtool.core.errors import Fault, OptionError, Severity
 from animtool.core.names import name_hint
-from animtool.core.options import inherits_docs, option, options_of
+from animtool.core.options import (
+    convert_option_values,
+    inherits_docs,
+    option,
+    options_of,
+)
 from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, builtin_rules, corrected_code, current_codes
 from animtool.validation.profiles import PROFILES, load_profile
@@ -59,6 +64,10 @@ class ValidateOptions:
         "own file.  [default: layer for a USD layer without its rig, else default]",
     )
     levels: Mapping[str, Severity | None] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Convert a single code to a list; check the number of processes."""
+        convert_option_values(self)
 
     def selects(self, code: str) -> bool:
         """Return whether a code is selected, and not ignored or off in the profile.

@@ -19,6 +19,7 @@ from animtool.core.errors import (
     excerpt,
 )
 from animtool.core.files.reading import matching_files, nearest_file, unreadable_error
+from animtool.core.loaded import path_list
 from animtool.core.process.signals import without_interrupts
 from animtool.core.process.supervisor import follow_parent, has_crashed, without_main
 from animtool.core.record import dataclass
@@ -183,8 +184,8 @@ def validate(
         OptionError: Unknown code (VAL005), unsupported file type (IO002), or malformed
             project settings.
     """
-    requested_paths = [paths] if isinstance(paths, Path | str) else list(paths)
-    return list(validate_files(find_files(requested_paths), options).findings)
+    files = find_files(path_list(paths, "paths"))
+    return list(validate_files(files, options).findings)
 
 
 def validate_files(

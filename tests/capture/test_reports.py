@@ -65,6 +65,17 @@ CLOCK = Clock(Fraction(30), Fraction(1), Fraction(1), 10)
 PLAIN = Camera("a", (800.0, 700.0), (320.0, 240.0), np.eye(3), np.zeros(3), (640, 480))
 
 
+@pytest.mark.parametrize(("size", "found"), [((480, 640), True), ((800, 600), False)])
+def test_an_image_with_width_and_height_exchanged(
+    size: tuple[int, int], found: bool
+) -> None:
+    made = CameraReport("a", 9, 9, 0.0, 1.0, 1.0, noise_px=1.0, outside=3)
+    camera = replace(PLAIN, size=size)
+    (fault,) = camera_notices(made, camera, CLOCK, "p", is_kept=False)
+    assert fault.code == "CAM107"
+    assert ("write 640 x 480" in (fault.hint or "")) == found
+
+
 def test_what_captures_take_where_nothing_is_given() -> None:
     assert CleanOptions() == CleanOptions(3, False, None)
     own = TriangulateOptions()

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from support.cli import animtool, animtool_process
 from support.printed import NO_INPUT
+from support.robots import ARM
 from support.usd import joint_positions, open_stage, validation_errors
 
 from animtool import Rig, open_source
@@ -267,6 +268,23 @@ def test_rigs_of_other_files(place: Path) -> None:
     take = open_source(place / "x.usdc").collect()
     foot = take.world().positions[4:12, take.rig.index("LeftFoot")]
     assert np.ptp(foot, axis=0).max() < 1e-5
+
+
+def test_joints_that_no_goal_moves_are_within_their_limits(place: Path) -> None:
+    side = ARM[ARM.index('<joint name="elbow"') : ARM.index('<joint name="hand"')]
+    side = side.replace("elbow", "side").replace("lower", "flap", 1)
+    side = side.replace('child link="lower"', 'child link="flap"').replace(
+        '"-2"', '".5"'
+    )
+    text = ARM.replace("</robot>", f'<link name="flap"/>{side}</robot>')
+    (place / "arm.urdf").write_text(text, "utf-8")
+    goal = "- {effector: tool, position: [0.1, 0.1, 0.5]}"
+    (place / "tool.targets.yaml").write_text(f"targets: animtool/1\ngoals:\n{goal}\n")
+    done = run(place, "-t", "tool.targets.yaml", "-o", "o.mot", rig="arm.urdf")
+    assert done.code == 0, done.stderr
+    names, values = (place / "o.mot").read_text().splitlines()[-2:]
+    row = dict(zip(names.split(), values.split(), strict=True))
+    assert float(row["side"]) == pytest.approx(math.degrees(0.5))
 
 
 def test_motion_of_another_file_goes_to_joints_of_the_same_names(place: Path) -> None:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from animtool.core.clock import Clock, time_codes
-from animtool.core.errors import AnimtoolError
+from animtool.core.errors import AnimtoolError, OptionError
 
 
 @given(
@@ -66,3 +66,12 @@ def test_a_rate_that_is_a_float_names_the_fraction() -> None:
 def test_starts_and_steps_may_be_those_of_floats() -> None:
     clock = Clock(Fraction(24), Fraction(0.1), Fraction(0.4), 2)
     assert [clock.start, clock.step] == [Fraction(0.1), Fraction(0.4)]
+
+
+def test_a_rate_that_is_text_is_no_number() -> None:
+    text: Any = "24fps"
+    with pytest.raises(OptionError) as caught:
+        Clock(text, 1, 1, 2)
+    (fault,) = caught.value.faults
+    assert fault.code == "TAKE003"
+    assert "not a number" in fault.message

@@ -10,6 +10,7 @@ import pytest
 
 from animtool import (
     Clip,
+    PictureOptions,
     Rig,
     Take,
     bake,
@@ -17,10 +18,14 @@ from animtool import (
     ik,
     open_source,
     read_bvh,
+    run_batch,
     usd,
+    validate,
     write_bvh,
+    write_pictures,
 )
 from animtool.core.errors import FormatError
+from animtool.core.loaded import path_list
 
 ROOT = Path(__file__).parents[2]
 WALK = ROOT / "samples/walk/walk.bvh"
@@ -136,5 +141,28 @@ def test_arguments_of_ik_in_the_place_of_others_say_what_to_write() -> None:
         ),
     ]
     for call, message in calls:
+        with pytest.raises(TypeError, match=message):
+            call()
+
+
+@pytest.mark.parametrize("paths", ["a.bvh", Path("a.bvh"), ["a.bvh"], (Path("a.bvh"),)])
+def test_one_path_or_several(paths: Any) -> None:
+    assert path_list(paths, "paths") == [Path("a.bvh")]
+
+
+def test_other_arguments_are_named(tmp_path: Path) -> None:
+    rig = Rig.load(ROOT / "rigs/arm/arm.rig.yaml")
+    wrong: Any = PictureOptions()
+    calls: dict[str, Any] = {
+        "paths is a Rig": lambda: validate(rig),  # type: ignore[arg-type]
+        "paths contains a Rig": lambda: validate([rig]),  # type: ignore[list-item]
+        "spec is a path, not a BatchSpec": lambda: run_batch("a.batch.yaml"),  # type: ignore[arg-type]
+        "options is a PictureOptions": lambda: write_pictures(
+            "a.bvh", tmp_path / "a.png", wrong
+        ),
+        "name is 3": lambda: rig.index(3),  # type: ignore[arg-type]
+        "targets is a list": lambda: rig.ik(rig.names[-1]).solve([0, 0, 0]),  # type: ignore[arg-type]
+    }
+    for message, call in calls.items():
         with pytest.raises(TypeError, match=message):
             call()

@@ -6,9 +6,11 @@ import inspect
 import pickle
 import re
 from dataclasses import dataclass, fields
+from fractions import Fraction
 from importlib import import_module
+from operator import attrgetter
 from pathlib import Path
-from typing import get_type_hints
+from typing import Any, get_type_hints
 
 import click
 import pytest
@@ -16,6 +18,7 @@ from click.testing import CliRunner
 from support.faults import raises
 
 import animtool
+from animtool.batch.run import RunOptions
 from animtool.cli.bake import bake
 from animtool.cli.options import declare_option, read_values, record_options
 from animtool.core.arguments import as_text
@@ -29,6 +32,7 @@ from animtool.core.options import (
     refused_options,
     with_text_values,
 )
+from animtool.core.units import LengthUnit, UpAxis
 from animtool.ik.options import TakeOptions
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import SourceOptions
@@ -208,3 +212,49 @@ def test_a_docstring_has_units_of_python_where_a_file_has_others() -> None:
     assert told is not None
     assert "spread: Half the angle of the cone, here in radians" in told
     assert "[deg]" not in told
+
+
+@pytest.mark.parametrize(
+    ("values", "name", "converted"),
+    [
+        ({"source": SourceOptions(unit="cm")}, "source.unit", LengthUnit.CM),
+        ({"source": SourceOptions(up="z")}, "source.up", UpAxis.Z),
+        ({"to_units": "mm"}, "to_units", LengthUnit.MM),
+        ({"reduce": "1mm"}, "reduce", 0.001),
+        ({"samples": [0, 0.5]}, "samples", (Fraction(0), Fraction(1, 2))),
+        ({"form": "split"}, "form", "split"),
+    ],
+)
+def test_options_in_python_may_be_text(
+    values: dict[str, Any], name: str, converted: object
+) -> None:
+    found = attrgetter(name)(BakeOptions(**values))
+    assert found == converted
+    assert type(found) is type(converted)
+
+
+@pytest.mark.parametrize(
+    ("record", "values"),
+    [
+        (SourceOptions, {"unit": "centimeters"}),
+        (SourceOptions, {"up": "W"}),
+        (SourceOptions, {"positions": "offset"}),
+        (BakeOptions, {"form": "layr"}),
+        (BakeOptions, {"placement": "kep"}),
+        (BakeOptions, {"reduce": "1"}),
+        (BakeOptions, {"samples": "often"}),
+        (ValidateOptions, {"jobs": "two"}),
+        (RunOptions, {"jobs": 0}),
+    ],
+)
+def test_unknown_words_of_options_in_python_are_refused(
+    record: Any, values: dict[str, Any]
+) -> None:
+    with pytest.raises(OptionError) as error:
+        record(**values)
+    assert error.value.code == "SCN025"
+    assert next(iter(values)) in error.value.faults[0].message
+
+
+def test_a_single_code_is_a_list_of_one() -> None:
+    assert ValidateOptions(select="BVH").select == ("BVH",)

@@ -76,7 +76,11 @@ def test_what_is_no_frame_time(text: str) -> None:
 def test_rivals_are_named_only_where_the_choice_is_open() -> None:
     assert rate_from_frame_time("0.017").ambiguous_rates == (58, 59)
     assert rate_from_frame_time("0.0042").ambiguous_rates == (236, 237, 238, 239)
-    assert rate_from_frame_time("0.008").ambiguous_rates == ()
+    assert rate_from_frame_time("0.0080").ambiguous_rates == ()
+    assert rate_from_frame_time("0.04").ambiguous_rates == ()
+    # Exact at an uncommon rate, and a common one when rounded.
+    assert rate_from_frame_time("0.008").ambiguous_rates == (120,)
+    assert rate_from_frame_time(".004").ambiguous_rates == (240,)
     assert rate_from_frame_time("0.0333").ambiguous_rates == ()
 
 

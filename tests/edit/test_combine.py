@@ -17,6 +17,7 @@ from animtool.core.clock import Clock
 from animtool.core.errors import OptionError
 from animtool.core.units import UpAxis
 from animtool.edit.layers import (
+    BLEND,
     LAYER,
     LayerMode,
     blend,
@@ -155,3 +156,31 @@ def test_a_layer_that_moves_what_ik_has_placed(
     options = LAYER.options(take=Path("other.bvh"))
     result = apply_pass(TakeStream.of(take), LAYER, options, context).collect()
     assert [notice.code for notice in result.notices] == ["SCN120"] * found
+
+
+@pytest.mark.parametrize(
+    ("distance", "weight", "found"),
+    [
+        (50.0, ((1.0, 0.0), (9.0, 1.0)), True),
+        (1.5, ((1.0, 0.0), (9.0, 1.0)), False),
+        (50.0, 0.5, False),
+        (50.0, ((1.0, 1.0), (9.0, 1.0)), False),
+    ],
+)
+def test_takes_far_apart_that_are_blended(
+    distance: float, weight: object, found: bool
+) -> None:
+    head = Joint("head", 0, JointType.BALL, translation=(0.0, 1.0, 0.0))
+    rig = Rig("one", (Joint("hips", -1, JointType.FREE), head))
+    rotations = Channel.from_dense(np.tile(so3.IDENTITY, (9, 2, 1)))
+    takes_apart = []
+    for x in (0.0, distance):
+        translations = np.tile(rig.rest_translations, (9, 1, 1))
+        translations[:, 0, 0] = x
+        motion = Motion(Channel.from_dense(translations).compact(), rotations)
+        takes_apart.append(Take(rig, Clock(24, 1, 1, 9), motion))
+    take, other = takes_apart
+    context = PassContext(lambda _: other, Path())
+    options = BLEND.options(take=Path("other.bvh"), weight=weight)
+    apply_pass(TakeStream.of(take), BLEND, options, context).collect()
+    assert [notice.code for notice in context.notices] == ["SCN122"] * found

@@ -182,7 +182,7 @@ def test_a_root_below_its_hips_says_what_to_write() -> None:
     with pytest.raises(OptionError) as caught:
         extract_root(take, hips="pelvis")
     (fault,) = caught.value.faults
-    assert (fault.code, fault.hint) == ("SCN012", "allowed: hips, chest")
+    assert (fault.code, fault.hint) == ("SCN012", "the joint of the pelvis is 'hips'")
 
 
 def test_a_joint_that_a_control_moves_stays_whatever_its_name() -> None:
@@ -314,3 +314,12 @@ def test_axes_of_another_up_axis(
     apply_pass(TakeStream.of(take), PASS, options, context)
     codes = [notice.code for notice in context.notices]
     assert codes == ["SCN121"] * found
+
+
+def test_a_root_at_the_end_of_a_chain_is_told_what_a_root_is() -> None:
+    take = upright(UpAxis.Y)
+    with pytest.raises(OptionError) as error:
+        extract_root(take, take.rig.names[-1])
+    (fault,) = error.value.faults
+    assert fault.code == "SCN020"
+    assert 'root="root" is added above' in (fault.hint or "")

@@ -10,12 +10,10 @@ from numpy.testing import assert_allclose
 
 from animtool.ik import Goal, build
 from animtool.ik.assembly import (
-    _coordinate_ranges,
-    _leader_of,
     _priority_levels,
     _rotation_from_z,
 )
-from animtool.ik.sub_rig import sub_rig
+from animtool.ik.sub_rig import coordinate_ranges, leader_of, sub_rig
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
@@ -40,20 +38,20 @@ def followers() -> Rig:
 
 def test_who_leads_a_row_of_followers_and_how_far_it_may_go() -> None:
     rig = followers()
-    assert _leader_of(rig, 0) == (0, 1, 0)
-    assert _leader_of(rig, 1) == (0, 2, pytest.approx(0.1))
-    assert _leader_of(rig, 2) == (0, -6, pytest.approx(0.2))
+    assert leader_of(rig, 0) == (0, 1, 0)
+    assert leader_of(rig, 1) == (0, 2, pytest.approx(0.1))
+    assert leader_of(rig, 2) == (0, -6, pytest.approx(0.2))
     # b from -0.3 on; c, which goes the other way, from -0.3 to 0.7.
-    ranges = _coordinate_ranges(rig)
+    ranges = coordinate_ranges(rig)
     assert set(ranges) == {0}
     assert ranges[0] == pytest.approx((-0.3, 0.7))
     wide = replace(rig.joints[2], limits=None)
-    ranges = _coordinate_ranges(
+    ranges = coordinate_ranges(
         replace(rig, joints=(*rig.joints[:2], wide, rig.joints[3]))
     )
     assert ranges[0] == pytest.approx((-0.3, 1.0))
     never = replace(rig.joints[1], limits=RangeLimit(5.0, 9.0))
-    ranges = _coordinate_ranges(replace(rig, joints=(rig.joints[0], never)))
+    ranges = coordinate_ranges(replace(rig, joints=(rig.joints[0], never)))
     assert ranges[0] == pytest.approx((2.45, 2.45))
 
 

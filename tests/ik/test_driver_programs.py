@@ -204,6 +204,26 @@ def test_a_joint_that_moves_no_goal_moves_those_that_follow_it() -> None:
     assert (still.chain.nodes[:, 3] != FOLLOWS_PROGRAM).all()
 
 
+@pytest.mark.parametrize("moving", [["a", "tail"], ["tail"], ["a", "lead"]])
+def test_a_driver_follows_the_leader_of_a_mimic_joint(moving: list[str]) -> None:
+    pin, along = JointType.PIN, (1.0, 0.0, 0.0)
+    rig = Rig(
+        "tied",
+        (
+            Joint("lead", -1, pin),
+            Joint("a", -1, pin),
+            Joint("tail", 1, pin, along, mimic=Mimic("lead", 2.0, 0.1)),
+            Joint("mid", 2, pin, along, driven=expr("lead.angle * lead.angle")),
+            Joint("tip", 3, JointType.FIXED, along),
+        ),
+    )
+    session = rig.ik("tip", joints=moving)
+    # Drivers decide, not the start.
+    found = session.solve(tip=[1.5, 1.9, 0.0], start=[0.3, 0.2, 0.7, 0.5])
+    miss = np.linalg.norm(found.world().positions[0, 4] - [1.5, 1.9, 0.0])
+    assert found.positions[0, 0] == pytest.approx(miss, abs=1e-9)
+
+
 def test_limits_of_a_driven_joint_hold() -> None:
     rig = limb(expr("hand.twist * 2"), limits=RangeLimit(-0.3, 0.3))
     problem = build(rig, [Goal("hand", tuple(TIP), orientation=1.0)])

@@ -14,6 +14,7 @@ from animtool.ik import Goal, IkOptions, Session, Targets, build, solve
 from animtool.maths import so3
 from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import IkChain
 from animtool.rig.skeleton import JointType, Mimic, Rig
 
@@ -126,6 +127,77 @@ def test_joints_that_mimic_others_come_along() -> None:
     q = rig.ik("b2").solve(b2=[0.5, 0.3, 0.1]).coordinates[0]
     assert q[4] == -0.5 * q[1]
     assert q[3] == 2.0 * q[4] + 0.1
+
+
+def test_joints_that_move_no_goal_are_within_limits() -> None:
+    joints = list(arm(3).joints)
+    joints.append(replace(joints[0], name="bent", limits=RangeLimit(0.2, 1.0)))
+    joints.append(replace(joints[0], name="tail", mimic=Mimic("bent", 2.0, 0.1)))
+    joints.append(replace(joints[0], name="free"))
+    mimic, limits = Mimic("free", 1.0, 0.0), RangeLimit(0.3, 1.0)
+    joints.append(replace(joints[0], name="tied", mimic=mimic, limits=limits))
+    rig = Rig("bent", tuple(joints))
+    q = rig.ik("b2").solve(b2=[0.5, 0.3, 0.1]).coordinates[0]
+    assert q[3:].tolist() == [0.2, 0.5, 0.3, 0.3]
+
+
+def test_joints_that_do_not_move_have_the_pose_of_the_session() -> None:
+    rig, pose = arm(3), [0.4, 0.0, 0.0]
+    session = rig.ik("b2", joints=["b1"], pose=pose)
+    target = session.solve(b2=[0.0, 0.0, 0.0]).world().positions[0, 2]
+    found = session.solve(b2=target)
+    assert found.coordinates[0, 0] == 0.4
+    np.testing.assert_allclose(found.world().positions[0, 2], target, atol=1e-6)
+
+
+@pytest.mark.parametrize("moving", [["b2"], ["b0", "b3"], ["b3", "b4"]])
+def test_joints_that_follow_others_above_a_goal_move_with_them(
+    moving: list[str],
+) -> None:
+    joints = list(arm(6).joints)
+    joints[2] = replace(joints[2], mimic=Mimic("b0", -0.5, 0.1))
+    joints[3] = replace(joints[3], mimic=Mimic("b0", 2.0))
+    rig = Rig("tied", tuple(joints))
+    session = rig.ik(Goal("b5", (0.2, 0.0, 0.0)), joints=moving)
+    found = session.solve(b5=[0.4, 0.5, 0.3])
+    placed = found.world()
+    reached = placed.positions[0, 5] + placed.linear[0, 5] @ [0.2, 0.0, 0.0]
+    miss = np.linalg.norm(reached - [0.4, 0.5, 0.3])
+    assert found.positions[0, 0] == pytest.approx(miss, abs=1e-9)
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_revolutions_of_a_leader_move_those_that_follow(seed: int) -> None:
+    joints = list(arm(6).joints)
+    joints[0] = replace(joints[0], limits=RangeLimit(3.0, 15.0))
+    joints[2] = replace(joints[2], mimic=Mimic("b0", 0.3, -1.0))
+    rig, goal = Rig("geared", tuple(joints)), Goal("b5", (0.2, 0.0, 0.0))
+    target = np.random.default_rng(seed).uniform(-1, 1, 3)
+    found = rig.ik(goal).solve(b5=target, start=[0.0] * 6)
+    placed = found.world()
+    reached = placed.positions[0, 5] + placed.linear[0, 5] @ [0.2, 0.0, 0.0]
+    miss = np.linalg.norm(reached - target)
+    assert found.positions[0, 0] == pytest.approx(miss, abs=1e-9)
+
+
+def test_joints_that_do_not_move_are_where_the_start_has_them() -> None:
+    rig = arm(6)
+    session = rig.ik(Goal("b5", (0.2, 0.0, 0.0), root="b2"))
+    rng = np.random.default_rng(8)
+    for _ in range(3):
+        start, other = rng.uniform(-0.5, 0.5, (2, 6))
+        other[:2] = start[:2]
+        local = local_from_coordinates(rig, other[None])
+        world = forward_kinematics(rig, local.translations, local.rotations)
+        target = world.positions[0, 5] + world.linear[0, 5] @ [0.2, 0.0, 0.0]
+        found = session.solve(b5=target, start=start)
+        assert found.converged.all()
+        assert found.coordinates[0, :2].tolist() == start[:2].tolist()
+        placed = found.world()
+        reached = placed.positions[0, 5] + placed.linear[0, 5] @ [0.2, 0.0, 0.0]
+        np.testing.assert_allclose(reached, target, atol=1e-5)
+    # Without a start it is the pose of the session again.
+    assert session.solve(b5=target).coordinates[0, :2].tolist() == [0.0, 0.0]
 
 
 def test_the_last_call_leaves_no_traces() -> None:

@@ -120,3 +120,29 @@ def test_no_step_leads_a_crumpled_sheet_through_itself() -> None:
 
     assert most_pierced(0.05) == 0
     assert most_pierced(0.0) > 0
+
+
+def test_what_is_pressed_on_pins_that_sway_does_not_pierce_itself() -> None:
+    """Gaps of what moves as one piece are widened: pins do not move rigidly."""
+    size, limit = 4, 0.05
+    points, triangles = grid(size, 0)
+    held = np.arange(size)
+    x = points[held, 0]
+    swayed = 8 * np.stack(
+        [0.1 * x, 0.02 * np.sin(40 * x), 0.05 * x * np.cos(50 * x)], 1
+    )
+    path = np.stack([points[held], points[held] + swayed])
+    network, ends = stiff_network(points, triangles, held, path)
+    layers = _kernels.SpringLayers(network, points, 0.003, 0.2, 0.2)
+    speeds = 2 * np.random.default_rng(6).normal(size=points.shape)
+    state, passages, found = np.stack([points, speeds]), STILL, 0
+    for k in range(200):
+        made = _kernels.project_springs(
+            network, state, np.zeros(len(ends), np.uint8), 0.0, k, 1 / 240, 1, 2, 0,
+            2, 8, 1.0, None, layers, passages, limit,
+        )  # fmt: skip
+        state, passages = made[0].copy(), made[8]
+        found = max(found, pierced(state[0], triangles))
+        # Press it together.
+        state[1] -= 200 * (state[0] - state[0].mean(axis=0))
+    assert found == 0

@@ -174,3 +174,17 @@ def test_streams_say_how_attributes_of_takes_are_reached() -> None:
         _ = stream.unknown  # type: ignore[attr-defined]
     assert "collect" not in str(raised.value)
     assert copy(stream).rig is stream.rig
+
+
+def test_a_motion_of_another_rig_or_length_says_what_to_do() -> None:
+    motion = dense_motion()
+    frames, joints = motion.frames, len(motion.translations.rest)
+    longer = Rig("long", tuple(Joint(f"j{i}", i - 1) for i in range(joints + 3)))
+    rig = Rig("short", longer.joints[:joints])
+    for other, count, hint in (
+        (longer, frames, "retarget_take moves a take"),
+        (rig, frames + 1, f"write count={frames}"),
+    ):
+        with pytest.raises(OptionError) as caught:
+            Take(other, Clock(24, 1, 1, count), motion)
+        assert all(hint in (fault.hint or "") for fault in caught.value.faults)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import field
 from pathlib import Path
@@ -14,6 +15,7 @@ from animtool.capture.cameras.stale import MIN_VIEWS, CameraDisagreement, PoseSh
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, Severity, counted, listed, percent_text
+from animtool.core.quantities import vector_text
 from animtool.core.record import dataclass
 from animtool.core.shot import frame_spans
 from animtool.motion.markers import Markers
@@ -22,6 +24,9 @@ from animtool.motion.markers import Markers
 MAX_CAMERA_OUTLIERS = 0.1
 # Fraction of lost points in a frame above which it is reported [1].
 MAX_LOST_FRACTION = 0.5
+# If the principal point is nearer to the centre of an image turned by 90 degrees than
+# this fraction of its distance to the centre, width and height are exchanged [1].
+MAX_CENTRE_FRACTION = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,8 +205,18 @@ def camera_notices(
     if report.outside and camera.size is not None:
         text = f"{counted(report.outside, 'pixel')} of camera {report.name!r} are "
         text += f"outside its image of {camera.size[0]} x {camera.size[1]}"
-        hint = "do calibration and observations have the same image size?"
-        yield warning("CAM107", text, hint)
+        yield warning("CAM107", text, _image_size_hint(camera, *camera.size))
+
+
+def _image_size_hint(camera: Camera, width: int, height: int) -> str:
+    """Return a hint for pixels outside an image: is it turned by 90 degrees?"""
+    # The principal point is near the centre of an image.
+    offset = math.dist(camera.centre, (width / 2, height / 2))
+    turned_offset = math.dist(camera.centre, (height / 2, width / 2))
+    if turned_offset >= MAX_CENTRE_FRACTION * offset:
+        return "do calibration and observations have the same image size?"
+    hint = "width and height look exchanged, as the principal point is at "
+    return f"{hint}{vector_text(camera.centre)}: write {height} x {width}"
 
 
 def lost_frame_notices(

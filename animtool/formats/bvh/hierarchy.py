@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import field
+from fractions import Fraction
 
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, Severity, counted, excerpt, listed
@@ -339,8 +340,10 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
     elif rate.ambiguous_rates:
         code, severity = "BVH107", Severity.NOTE
         other_rates = listed(rate.ambiguous_rates, 6)
-        message = f"Frame Time {frame_time} is rounded: {other_rates} fps would be "
-        message += f"printed the same; using {rate_label(rate.fps)}"
+        is_exact = rate.fps * Fraction(frame_time) == 1
+        message = f"Frame Time {frame_time} {'may be' if is_exact else 'is'} rounded: "
+        message += f"{other_rates} fps would be printed the same; using "
+        message += rate_label(rate.fps)
     else:
         return []
     return [Fault(code, message, path, (line,), hint, severity)]

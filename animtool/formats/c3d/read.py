@@ -198,6 +198,9 @@ def _find_layout(file: CaptureFile, sections: Sections, data: bytes) -> Layout:
         message += "size is read: "
         message += "; ".join(_contradiction_text(*c) for c in contradictions)
         file.warn("C3D101", message)
+    # ezc3d writes a block of zeros behind frames that fill their last block.
+    if data.endswith(b"\0" * BLOCK_BYTES) and layout.trailing_bytes == BLOCK_BYTES:
+        return layout
     if layout.trailing_bytes >= min(
         BLOCK_BYTES, layout.number_bytes * layout.numbers_per_frame
     ) or (layout.trailing_bytes and len(data) % BLOCK_BYTES):

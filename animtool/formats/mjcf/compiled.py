@@ -259,12 +259,18 @@ def _record_differences(
     """Record differences between rig and model, and joints without actuators."""
     names = [model.joint(joint).name for joint in range(model.njnt)]
 
-    def add_note(code: str, joints: list[int], message: str, hint: str) -> None:
+    def add_note(
+        code: str,
+        joints: list[int],
+        message: str,
+        hint: str,
+        severity: Severity = Severity.NOTE,
+    ) -> None:
         if joints:
             labels = [excerpt(names[j]) if names[j] else "one unnamed" for j in joints]
             message = message.format(counted(len(joints), "joint"))
             message += f": {listed(labels, MAX_LISTED_JOINTS)}"
-            diagnostics.add(code, None, message, hint, severity=Severity.NOTE)
+            diagnostics.add(code, None, message, hint, severity=severity)
 
     scalar_joints = [
         j for j in range(model.njnt) if model.jnt_type[j] in {SLIDE, HINGE}
@@ -285,6 +291,10 @@ def _record_differences(
     hint = "the rest pose is still at 0; a take uses the nearest limit"
     add_note("MJC109", joints_without_zero, "0 is outside the limits of {}", hint)
     limited_joints = np.flatnonzero(model.jnt_limited).tolist()
+    joints_beyond_limits = equalities.joints_beyond_limits(model)
+    message = "equalities move {} beyond their limits"
+    hint = "make their limits wider, or those of the joints that they follow narrower"
+    add_note("MJC111", joints_beyond_limits, message, hint, Severity.WARNING)
     ball_joints = [j for j in limited_joints if model.jnt_type[j] == BALL]
     largest_limit = max(
         (math.degrees(model.jnt_range[j, 1]) for j in ball_joints), default=0.0

@@ -14,6 +14,8 @@ from animtool.rig.drivers import ANGLE, SLIDE, Driver
 from animtool.rig.expressions import parse_expression
 from animtool.rig.skeleton import Mimic
 
+# Rounding of limits and coefficients in a file [rad], [m].
+LIMIT_TOLERANCE = 1e-6
 _JOINT_EQUALITY = 2
 _SLIDE_JOINT = 2
 
@@ -53,6 +55,34 @@ class JointEqualities:
             for follower in constraints:
                 equalities._add(model, follower, constraints)
         return equalities
+
+    def joints_beyond_limits(self, model: Any) -> list[int]:
+        """Return the limited joints that equalities may move beyond their limits.
+
+        Joints that follow an unlimited joint are only reported if no value of that has
+        all of them within limits; those that follow nonlinearly are not.
+        """
+        beyond = []
+        leader_ranges: dict[int, tuple[float, float]] = {}
+        for follower in np.flatnonzero(model.jnt_limited).tolist():
+            low, high = np.array(model.jnt_range[follower]).tolist()
+            driver, mimic = self.drivers.get(follower), self.mimics.get(follower)
+            values = []
+            if driver is not None and not driver.names:
+                values = driver.evaluate({}).tolist()
+            elif mimic is not None and (leader := model.joint(mimic.joint)).limited[0]:
+                values = [mimic.gain * end + mimic.offset for end in leader.range]
+            elif mimic is not None and mimic.gain:
+                ends = sorted((end - mimic.offset) / mimic.gain for end in (low, high))
+                start, stop = leader_ranges.get(leader.id, (-np.inf, np.inf))
+                leader_ranges[leader.id] = max(start, ends[0]), min(stop, ends[1])
+                if np.subtract(*leader_ranges[leader.id]) > LIMIT_TOLERANCE:
+                    beyond.append(follower)
+            is_inside = [low - LIMIT_TOLERANCE <= v <= high + LIMIT_TOLERANCE
+                         for v in values]  # fmt: skip
+            if not all(is_inside):
+                beyond.append(follower)
+        return beyond
 
     def _add(
         self, model: Any, follower: int, constraints: dict[int, tuple[int, list[float]]]

@@ -33,20 +33,24 @@ _SECTION_LABELS = {
     "visual": "visuals",
 }
 _BODY_CONTENT_LABELS = {"camera": "cameras", "light": "lights", "plugin": "plugins"}
-_DEFAULT_TAGS = frozenset({"default", "joint", "geom", "site"})
+_DEFAULT_TAGS = frozenset({"default", "equality", "joint", "geom", "site"})
 # Elements that MuJoCo expands from other files or by plug-ins.
 _GENERATOR_TAGS = frozenset({"attach", "composite", "flexcomp"})
 # Attributes that refer to removed elements, or change the set of bodies.
 _DROPPED_ATTRIBUTES = {
     "geom": ("material", "mesh", "hfield", "user"),
     "site": ("material", "user"),
-    "body": ("user",),
-    "joint": ("user",),
+    "body": ("user", "fuse"),
+    "joint": ("user", "align"),
+    "freejoint": ("align",),
     "compiler": (
         *("assetdir", "meshdir", "texturedir", "strippath", "fusestatic"),
         *("discardvisual", "exactmeshinertia", "alignfree"),
     ),
 }
+# Attributes that rotate bodies with a free joint to their axes of inertia, which depend
+# on meshes.
+_ALIGNMENTS = frozenset({"align", "alignfree"})
 _MESH_TYPES = frozenset({"mesh", "hfield", "sdf"})
 # Text attributes, which may be "nan", unlike numbers.
 _TEXT_ATTRIBUTES = frozenset(
@@ -203,6 +207,8 @@ def _attribute_text(
     attribute_texts = []
     for name, value in element.attributes.items():
         if name in removed_names:
+            is_aligned = name in _ALIGNMENTS and value == "true"
+            diagnostics.record_ignored(["alignment of free joints"] * is_aligned)
             continue
         if name not in _TEXT_ATTRIBUTES:
             _check_numbers(element, name, value, diagnostics)

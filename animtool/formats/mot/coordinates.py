@@ -55,7 +55,8 @@ def coordinates_by_name(rig: Rig) -> dict[str, Coordinate]:
     These are ``knee.angle`` and ``knee`` for a pin, ``lift.slide`` and ``lift`` for a
     prismatic joint, ``hip.rotation.x`` and ``hip_x`` for a ball or free joint, and
     ``hip.translation.x`` and ``hip_tx`` for a free one. If two names are equal, a
-    joint's full name takes precedence over a name with a suffix.
+    joint's full name takes precedence over a name with a suffix. Files separate columns
+    by blanks and commas: names with these are also accepted with ``_`` instead.
 
     >>> door = Rig("door", (Joint("hinge", -1, JointType.PIN),))
     >>> list(coordinates_by_name(door))
@@ -70,18 +71,23 @@ def coordinates_by_name(rig: Rig) -> dict[str, Coordinate]:
         key=lambda coordinate: coordinate.component not in {"angle", "slide"},
     ):
         coordinate_by_name.setdefault(_short_name(rig, coordinate), coordinate)
+    for coordinate in all_coordinates:
+        name = _without_separators(_short_name(rig, coordinate))
+        if name == _short_name(rig, coordinate):
+            continue
+        while coordinate_by_name.setdefault(name, coordinate) != coordinate:
+            name += "_2"
     return coordinate_by_name
 
 
 def column_names(rig: Rig, coordinates: list[Coordinate]) -> list[str]:
     """Return the column names of coordinates, short ones if they are unambiguous."""
-    coordinate_by_name = coordinates_by_name(rig)
-    return [
-        short_name
-        if coordinate_by_name[short_name := _short_name(rig, c)] == c
-        else _dotted_name(rig, c)
-        for c in coordinates
-    ]
+    last_names = {c: name for name, c in coordinates_by_name(rig).items()}
+    return [last_names[c] for c in coordinates]
+
+
+def _without_separators(name: str) -> str:
+    return "_".join(name.replace(",", " ").split())
 
 
 def _dotted_name(rig: Rig, coordinate: Coordinate) -> str:

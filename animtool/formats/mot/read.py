@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from fractions import Fraction
 from pathlib import Path
 
@@ -38,13 +39,17 @@ from animtool.ik.sub_rig import with_mimics
 from animtool.maths.filters import fill_gaps
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.rig.joints import local_from_coordinates
+from animtool.rig.joints import coordinate_slices, local_from_coordinates
 from animtool.rig.placed import at_origin
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import Joint, JointType, Rig
 
 # Maximum frames per row at irregular times. More are gaps, and filling these would be
 # invented motion.
 MAX_FRAMES_PER_ROW = 10
+# Values of joints that follow others differ by more than rounding [rad], [m].
+FOLLOWING_TOLERANCE = 1e-3
+# Smaller shifts of a take are rounding of times [s].
+MIN_TIME_SHIFT = 1e-4
 # Two revolutions [rad]: joints of a body rotate less, and values in degrees soon exceed
 # it.
 MAX_PLAUSIBLE_ANGLE = 4 * np.pi
@@ -105,7 +110,7 @@ def read_mot(
         _warn_likely_degrees(file, names, values[:, is_angle])
         values[:, is_angle] = np.degrees(values[:, is_angle])
     rate, values = _resample_rows(table, values, requested_rate)
-    motion = _build_motion(take_rig, coordinates, values)
+    motion = _build_motion(file, take_rig, coordinates, values)
     details: dict[str, object] = {
         "format": "OpenSim motion",
         "columns": len(header.names),
@@ -114,19 +119,36 @@ def read_mot(
         "first_time": float(table.times[0]),
         "units": unit_name(take_rig.meters_per_unit),
     }
+    start = _first_frame(table, rate)
     notices = file.notices
     if rig is not None:
         details["rig"] = str(rig)
         notices = [*take_rig.notices, *notices]
-    first_frame = float(table.times[0]) * float(rate)
-    start = (
-        Fraction(round(first_frame) + 1)
-        if abs(first_frame) < MAX_FRAME_NUMBER
-        else None
-    )
     return TakeStream(
         take_rig, rate, start, Fraction(1), iter([motion]), notices, details
     )
+
+
+def _first_frame(table: MotionTable, rate: Fraction) -> Fraction | None:
+    """Return the frame of the first row; None if it is too large.
+
+    A row between two frames is noted (MOF113).
+    """
+    first_time = float(table.times[0])
+    frame_position = first_time * float(rate)
+    if abs(frame_position) >= MAX_FRAME_NUMBER:
+        return None
+    frame = round(frame_position)
+    shift = frame / float(rate) - first_time
+    if abs(shift) > max(MIN_TIME_SHIFT, 3 * rounding_error(table.time_decimals)):
+        message = f"starts at {first_time:.6g} s, which is between frames "
+        message += f"{math.floor(frame_position) + 1} and "
+        message += f"{math.floor(frame_position) + 2} at {float(rate):.6g} fps: "
+        message += f"frame {frame + 1} is its first row, {abs(shift):.3g} s "
+        message += "later" if shift > 0 else "earlier"
+        hint = "move other data of the trial, such as forces, by as much"
+        table.file.note("MOF113", message, hint)
+    return Fraction(frame + 1)
 
 
 def _warn_unstated_unit(file: CaptureFile, invalid_in_degrees: str) -> None:
@@ -249,10 +271,48 @@ def _resample_rows(
     return rate, resampled_values
 
 
-def _build_motion(rig: Rig, columns: list[Coordinate], values: FloatArray) -> Motion:
-    coordinates = convert_columns_to_coordinates(rig, columns, values)
+def _build_motion(
+    file: CaptureFile, rig: Rig, columns: list[Coordinate], values: FloatArray
+) -> Motion:
+    """Return the motion of columns ``(F, C)`` [deg, m]; other mimic joints follow.
+
+    Warns about columns of mimic and driven joints that do not follow (MOF114).
+    """
+    stated = convert_columns_to_coordinates(rig, columns, values)
     animated_joints = {rig.joints[c.joint_index].name for c in columns}
-    local = local_from_coordinates(rig, with_mimics(rig, coordinates, animated_joints))
+    coordinates = with_mimics(rig, stated, animated_joints)
+    slices = coordinate_slices(rig)
+    offsets: dict[str, float] = {}
+    for j in sorted({c.joint_index for c in columns}):
+        offset = _following_error(
+            rig.joints[j], coordinates[:, slices[j]] - stated[:, slices[j]]
+        )
+        if offset > FOLLOWING_TOLERANCE:
+            offsets[rig.names[j]] = offset
+        coordinates[:, slices[j]] = stated[:, slices[j]]
+    if offsets:
+        name = max(offsets, key=lambda n: offsets[n])
+        is_pin = rig.joints[rig.index(name)].type is JointType.PIN
+        size = (
+            f"{np.degrees(offsets[name]):.4g}°" if is_pin else f"{offsets[name]:.4g} m"
+        )
+        message = f"{counted(len(offsets), 'column')} of joints that follow others do "
+        message += f"not follow, {excerpt(name)} by up to {size}: the file's values "
+        message += "are used"
+        hint = "remove the columns to make these joints follow"
+        file.warn("MOF114", message, hint)
+    local = local_from_coordinates(rig, coordinates)
     return Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )
+
+
+def _following_error(joint: Joint, offsets: FloatArray) -> float:
+    """Return the largest offset of a joint that follows [rad], [m].
+
+    Angles may be whole revolutions apart, its own and those of the joint it follows.
+    """
+    gain = 0.0 if joint.mimic is None else joint.mimic.gain
+    revolutions = gain * np.arange(-1, 2)[:, None] + np.arange(-2, 3)
+    distances = np.abs(offsets.ravel() - 2 * np.pi * revolutions.reshape(-1, 1))
+    return float(distances.min(axis=0).max())

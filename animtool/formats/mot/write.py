@@ -75,9 +75,7 @@ def build_mot_text(take: Take) -> TakeText:
 
 
 def _header_lines(rig: Rig, coordinates: list[Coordinate], row_count: int) -> list[str]:
-    names = [
-        "_".join(n.replace(",", " ").split()) for n in column_names(rig, coordinates)
-    ]
+    names = column_names(rig, coordinates)
     return [
         "Coordinates",
         "version=1",

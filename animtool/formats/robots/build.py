@@ -22,16 +22,11 @@ from animtool.formats.robots.diagnostics import XmlDiagnostics
 from animtool.formats.robots.parts import ORIGIN, Robot, RobotJoint
 from animtool.formats.robots.solids import build_capsule, build_mass
 from animtool.formats.robots.triangles import merge_surfaces
-from animtool.ik.sub_rig import with_mimics
+from animtool.ik.sub_rig import start_coordinates
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import TakeStream
-from animtool.rig.joints import (
-    coordinate_slices,
-    local_from_coordinates,
-    rest_coordinates,
-)
+from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import rest_world
-from animtool.rig.limits import RangeLimit
 from animtool.rig.parts import Collider, LoadedArray, Mass, Mesh, Skin, Subdivision
 from animtool.rig.skeleton import MAX_RIG_SIZE, Joint, JointType, Rig
 from animtool.rig.suspicious_shape import rest_pose_without_kernels
@@ -272,16 +267,8 @@ def _note_approximate_colliders(
 
 
 def zero_pose_stream(rig: Rig, format_name: str) -> TakeStream:
-    """Return a take of one frame with all coordinates at 0, or at the nearest limit.
-
-    Mimic joints follow their leaders.
-    """
-    coordinates = rest_coordinates(rig, 1)
-    for joint, columns in zip(rig.joints, coordinate_slices(rig), strict=True):
-        if isinstance(joint.limits, RangeLimit):
-            coordinates[0, columns] = joint.limits.clamped(coordinates[0, columns])
-    coordinates = with_mimics(rig, coordinates, rig.names)
-    local = local_from_coordinates(rig, coordinates)
+    """Return a take of one frame with all coordinates at 0, or at the nearest limit."""
+    local = local_from_coordinates(rig, start_coordinates(rig))
     motion = Motion(
         Channel.from_dense(local.translations), Channel.from_dense(local.rotations)
     )

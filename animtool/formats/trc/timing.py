@@ -242,6 +242,10 @@ def _first_frame_and_time(
     numbers, times = columns[:, 0], columns[:, 1]
     start = _first_frame(numbers[0])
     time_frame = times[0] * float(rate) + 1
+    if len(times) > 1:
+        # Times of few decimals may still be exact.
+        fit_error = np.abs(times - times[0] - frames / float(rate)).max()
+        rounding = min(rounding, float(fit_error))
     if _frames_by_number(numbers) is None:
         _warn_of_numbers(file, numbers, line_numbers, "rows are placed by Time")
         return start, float(times[0])

@@ -55,8 +55,6 @@ constexpr std::size_t MAX_CULLED_COLLIDERS = 64;
 // Passes over all colliders that push a particle out.
 constexpr int DEPENETRATION_PASSES = 4;
 
-constexpr double INF = std::numeric_limits<double>::infinity();
-
 // Distance that a particle's centre keeps from the surface of a collider [m].
 inline double contact_distance(const Collider& c, double radius) {
   const double distance = c.margin + radius;

@@ -1,7 +1,11 @@
 // Tolerances of contacts.
 #pragma once
 
+#include <limits>
+
 namespace animtool::collide {
+
+constexpr double INF = std::numeric_limits<double>::infinity();
 
 // Distance below which a particle touches a surface [m].
 constexpr double TOUCH_DISTANCE = 1e-9;

@@ -47,6 +47,19 @@ struct Mesh {
   }
 };
 
+inline Vec min_of(Vec a, Vec b) {
+  return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)};
+}
+inline Vec max_of(Vec a, Vec b) {
+  return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)};
+}
+// Whether boxes are at most a distance apart along each axis.
+inline bool boxes_overlap(Vec low, Vec high, Vec other_low, Vec other_high, double distance) {
+  return low.x <= other_high.x + distance && high.x >= other_low.x - distance &&
+         low.y <= other_high.y + distance && high.y >= other_low.y - distance &&
+         low.z <= other_high.z + distance && high.z >= other_low.z - distance;
+}
+
 // Size of the stack of a tree traversal.
 constexpr int MAX_TREE_DEPTH = 64;
 
@@ -217,6 +230,28 @@ inline Vec corner_normal(const Mesh& mesh, const MeshAdjacency& adjacency, std::
     sum = sum + face_normal(mesh, triangle, {}) * angle;
   }
   return sum;
+}
+
+// Angle below which neighbouring faces count as flat [rad].
+constexpr double FLAT_ANGLE = 1e-3;
+
+// Radius of curvature of a mesh at the edge of a triangle: infinite if the edge is flat or concave,
+// 0 on the boundary, and at most that of faces of a given width.
+inline double curvature_radius(const Mesh& mesh, std::int32_t triangle, int side,
+                               double max_width) {
+  const std::int32_t* corner = mesh.triangles + 3 * triangle;
+  const Vec a = mesh.point(corner[side]), b = mesh.point(corner[(side + 1) % 3]);
+  const Vec opposite = mesh.point(corner[(side + 2) % 3]) - a, edge = b - a;
+  const double squared_length = dot(edge, edge);
+  if (!(squared_length > 0)) return INF;
+  const Vec inward = opposite - edge * (dot(opposite, edge) / squared_length);
+  const Vec sum = mesh.adjacency ? edge_normal(mesh, *mesh.adjacency, triangle, side)
+                                 : load(mesh.edge_normals + 9 * triangle + 3 * side);
+  if (dot(sum, sum) == 0) return 0;
+  if (!(dot(sum, inward) < -FLAT_ANGLE * FLAT_ANGLE * length(inward))) return INF;
+  const Vec normal = face_normal(mesh, triangle, {});
+  const double angle = 2 * std::atan2(length(cross(normal, sum)), dot(normal, sum));
+  return angle > FLAT_ANGLE ? std::min(length(inward), max_width) / angle : INF;
 }
 
 // The pseudonormal at the nearest point, which gives the sign of the distance.

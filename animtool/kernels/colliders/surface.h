@@ -21,6 +21,9 @@ class MeshSurface {
   collide::Mesh mesh(const double* points, const double* displacements, const double* bounds) const;
   // Computes boxes that contain the triangles along their motion between two sets of positions.
   void fit_boxes(const double* begin, const double* end, std::vector<double>& bounds) const;
+  // The smallest radius of curvature at the edges of each point, when the mesh was built; infinite
+  // where it is flat, concave or open (P,).
+  const std::vector<double>& curvature_radii() const { return curvature_radii_; }
   // Signed distances of points from the mesh, with the mesh points at `positions`.
   Out<double, 1> distances(In<double, 2> positions, In<double, 2> points) const;
 
@@ -28,6 +31,7 @@ class MeshSurface {
   std::size_t point_count_;
   std::vector<std::int32_t> triangles_, nodes_;
   collide::MeshAdjacency adjacency_;
+  std::vector<double> curvature_radii_;
 };
 
 }  // namespace animtool

@@ -28,6 +28,17 @@ constexpr int MAX_COLLIDER_ITERATIONS = 3;
 constexpr std::size_t IMPULSE_WIDTH = 7;
 // Factor of the radius for edge midpoints, which cut corners.
 constexpr double MIDPOINT_FACTOR = 0.25;
+// Points of moving meshes are fine if their radius of curvature plus the contact distance is below
+// this fraction of the longest edge: they fit between particles and midpoints. Factor of the
+// contact distance for triangles; and the size of groups of fine points [longest edge].
+constexpr double FINE_RADIUS_FRACTION = 0.35, FINE_POINT_FACTOR = 0.5, FINE_GROUP_SIZE = 3;
+// Safety factor of the distance that a triangle moves in an interval.
+constexpr double FINE_REACH = 1.5;
+// Fraction of its clearance from fine points by which a triangle may move relative to the nearest
+// one: the others move a little differently.
+constexpr double FINE_CLEARANCE_FRACTION = 0.5;
+// Largest number of fine points of a group that a triangle collides with in a step.
+constexpr int MAX_FINE_POINTS = 3;
 // Smallest initial slack of mesh caches, over the size of the mesh.
 constexpr double MIN_SLACK_RATIO = 1e-3;
 // Factor of the initial slack: with a large slack, a fine mesh has too many triangles nearby.
@@ -206,8 +217,13 @@ SpringContacts::SpringContacts(const std::optional<SpringColliders>& colliders,
   const std::size_t particles =
       network.particle_count() + (has_midpoints ? network.edges.size() / 2 : 0);
   for (std::size_t c = 0; c < collider_count_; ++c) faces_.add(colliders_[c]);
-  for (const SpringSurface& surface : std::get<5>(*colliders))
+  for (const SpringSurface& surface : std::get<5>(*colliders)) {
     surfaces_.emplace_back(surface, interval_count);
+    if (has_midpoints)
+      surfaces_.back().find_fine_points(FINE_RADIUS_FRACTION * network.longest_edge -
+                                            colliders_.radius() - surfaces_.back().margin(),
+                                        FINE_GROUP_SIZE * network.longest_edge);
+  }
   collider_count_ += surfaces_.size();
   build_patches(particles);
   past_impulses_.assign(IMPULSE_WIDTH * colliders_.size(), 0.0);
@@ -333,6 +349,10 @@ bool SpringContacts::resolve(int step, std::vector<double>& before, std::vector<
   }
   if (has_midpoints_)
     resolve_midpoints(max_displacement, max_angle, {before, x, v}, particle_marks);
+  if (has_midpoints_) {
+    if (step == 0 && !particle_marks) list_fine_triangles({before, x, v});
+    resolve_fine_points({before, x, v}, particle_marks);
+  }
   touched_count = std::max(touched_count, moved_count);
   if (!particle_marks && last_interval_ + 1 == interval_count_ && step + 1 == substeps_)
     unresolved_count = inside_count;
@@ -380,6 +400,153 @@ void SpringContacts::resolve_midpoints(double max_displacement, double max_angle
     store(load(p_before) + start_shift * p_inverse_mass, p_before),
         store(load(q_before) + start_shift * q_inverse_mass, q_before);
   }
+}
+
+void SpringContacts::list_fine_triangles(const StepState& state) {
+  fine_triangles_.clear();
+  if (std::all_of(surfaces_.begin(), surfaces_.end(),
+                  [](const MovingSurface& surface) { return surface.fine_nodes().empty(); }))
+    return;
+  for (std::size_t k = 0; k < network_.triangles.size(); k += 3) {
+    const std::int32_t* corners = &network_.triangles[k];
+    double travel = 0;
+    for (const std::int32_t* n = corners; n < corners + 3; ++n)
+      travel = std::max(travel, length(shapes::position_of(state.x.data(), *n) -
+                                       shapes::position_of(state.before.data(), *n)));
+    const double reach = FINE_REACH * (substeps_ * travel + network_.longest_edge / 8);
+    const shapes::Triangle triangle(corners, state.x.data());
+    const Vec low = collide::min_of(collide::min_of(triangle.a, triangle.b), triangle.c),
+              high = collide::max_of(collide::max_of(triangle.a, triangle.b), triangle.c);
+    for (std::size_t s = 0; s < surfaces_.size(); ++s) {
+      const std::size_t c = colliders_.size() + s;
+      for (const std::int32_t node : surfaces_[s].fine_nodes()) {
+        const double* box = surfaces_[s].box() + 6 * node;
+        if (collide::boxes_overlap(low, high, load(box), load(box + 3),
+                                   reach + contact_distances_[c]))
+          fine_triangles_.push_back({k, c, node, surfaces_[s].point_below(node), -1, {}});
+      }
+    }
+  }
+}
+
+void SpringContacts::resolve_fine_points(StepState state,
+                                         std::vector<std::uint8_t>* particle_marks) {
+  for (FineTriangle& fine : fine_triangles_) {
+    const std::int32_t* corners = &network_.triangles[fine.corner];
+    if (particle_marks && std::none_of(corners, corners + 3, [&](std::int32_t n) {
+          return (*particle_marks)[static_cast<std::size_t>(n)];
+        }))
+      continue;
+    if (is_clear(fine, state)) continue;
+    const double distance = contact_distances_[fine.collider];
+    for (int count = 0; count < MAX_FINE_POINTS; ++count) {
+      const double nearest_distance = find_fine_point(fine, state);
+      if (nearest_distance >= distance) {
+        fine.clearance = nearest_distance - distance;
+        break;
+      }
+      const Vec point = mesh_at(step_colliders_[fine.collider], true).point(fine.point);
+      if (!resolve_triangle_point(fine.collider, corners, point, state, particle_marks)) break;
+    }
+  }
+}
+
+bool SpringContacts::is_clear(const FineTriangle& fine, const StepState& state) const {
+  if (fine.clearance < 0) return false;
+  const Vec point = mesh_at(step_colliders_[fine.collider], true).point(fine.point);
+  double motion = 0;
+  for (std::size_t k = 0; k < 3; ++k)
+    motion = std::max(
+        motion, length(shapes::position_of(state.x.data(), network_.triangles[fine.corner + k]) -
+                       point - fine.offsets[k]));
+  return motion < FINE_CLEARANCE_FRACTION * fine.clearance;
+}
+
+double SpringContacts::find_fine_point(FineTriangle& fine, const StepState& state) const {
+  const MovingSurface& surface = surfaces_[fine.collider - colliders_.size()];
+  const Mesh mesh = mesh_at(step_colliders_[fine.collider], true);
+  const double max_distance = 2 * contact_distances_[fine.collider];
+  const shapes::Triangle triangle(&network_.triangles[fine.corner], state.x.data());
+  const Vec normal = triangle.normal(), centre = (triangle.a + triangle.b + triangle.c) * (1.0 / 3),
+            low = collide::min_of(collide::min_of(triangle.a, triangle.b), triangle.c),
+            high = collide::max_of(collide::max_of(triangle.a, triangle.b), triangle.c);
+  // A lower bound of the squared distance of a box: along the axes, and along the normal.
+  const auto squared_bound = [&](Vec box_low, Vec box_high) {
+    const Vec gap = collide::max_of(collide::max_of(low - box_high, box_low - high), Vec{}),
+              offset = (box_low + box_high) * 0.5 - centre, extent = (box_high - box_low) * 0.5;
+    const double height = std::abs(dot(offset, normal)) - std::abs(extent.x * normal.x) -
+                          std::abs(extent.y * normal.y) - std::abs(extent.z * normal.z);
+    return std::max(dot(gap, gap), height > 0 ? height * height : 0.0);
+  };
+  double limit = max_distance * max_distance;
+  collide::visit_boxes(
+      mesh, fine.node, limit,
+      [&](std::int32_t node) {
+        const auto [box_low, box_high] = surface.box_at(node, mesh.fraction);
+        return squared_bound(box_low, box_high);
+      },
+      [&](std::int32_t t) {
+        for (const std::int32_t* p = mesh.triangles + 3 * t; p < mesh.triangles + 3 * t + 3; ++p) {
+          if (!surface.is_fine(*p)) continue;
+          const Vec point = mesh.point(*p);
+          if (squared_bound(point, point) >= limit) continue;
+          const Vec offset = triangle.nearest(point).offset;
+          if (dot(offset, offset) < limit) limit = dot(offset, offset), fine.point = *p;
+        }
+        return limit;
+      });
+  const Vec point = mesh.point(fine.point);
+  fine.offsets = {triangle.a - point, triangle.b - point, triangle.c - point};
+  fine.clearance = -1;
+  return std::sqrt(limit);
+}
+
+bool SpringContacts::resolve_triangle_point(std::size_t c, const std::int32_t* corners, Vec nearby,
+                                            StepState& state,
+                                            std::vector<std::uint8_t>* particle_marks) {
+  const StepCollider& collider = step_colliders_[c];
+  const double distance = contact_distances_[c];
+  const shapes::Nearest nearest = shapes::Triangle(corners, state.x.data()).nearest(nearby);
+  Vec from, to;
+  double weights[3], total_weight = 0, allowed_depth = 0;
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto n = static_cast<std::size_t>(corners[k]);
+    weights[k] = -nearest.coefficients[k + 1];
+    from = from + load(&state.before[PARTICLE_STRIDE * n]) * weights[k];
+    to = to + load(&state.x[PARTICLE_STRIDE * n]) * weights[k];
+    total_weight += network_.inverse_masses[n] * weights[k] * weights[k];
+    allowed_depth = std::min(allowed_depth, colliders_.depth(c, n));
+  }
+  if (!(total_weight > 0)) return false;
+  allowed_depth -= distance * (1 - FINE_POINT_FACTOR);
+  const auto sample_at = [&](Vec point, bool is_at_end) {
+    const Mesh mesh = mesh_at(collider, is_at_end);
+    const collide::Nearest hit = collide::nearest_on_mesh(mesh, 0, point, collide::INF);
+    Sample sample = collide::sample_nearest(mesh, hit, point);
+    sample.distance -= distance;
+    return PatchHit{sample, hit.triangle};
+  };
+  const PatchHit hit = sample_at(to, true);
+  if (!(hit.sample.distance < allowed_depth - collide::TOUCH_DISTANCE)) return false;
+  MovingCapsule capsule = collider.capsule;
+  store(surface_displacement(collider, hit, true, to), capsule.translation);
+  Vec pushed = to, reference = from;
+  if (!collide::push_out(capsule, {hit.sample.distance, hit.sample.normal},
+                         sample_at(from, false).sample.distance, allowed_depth, from, pushed,
+                         reference))
+    return false;
+  const Vec end_shift = (pushed - to) * (1 / total_weight),
+            start_shift = (reference - from) * (1 / total_weight);
+  for (std::size_t k = 0; k < 3; ++k) {
+    const auto n = static_cast<std::size_t>(corners[k]);
+    const double weight = network_.inverse_masses[n] * weights[k];
+    double *p = &state.x[PARTICLE_STRIDE * n], *p_before = &state.before[PARTICLE_STRIDE * n];
+    store(load(p) + end_shift * weight, p);
+    store(load(p_before) + start_shift * weight, p_before);
+    clearances_[n] -= weight * length(end_shift);
+    if (particle_marks) (*particle_marks)[n] = 1;
+  }
+  return true;
 }
 
 double SpringContacts::depth(std::size_t c, std::size_t n) const {

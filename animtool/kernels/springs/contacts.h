@@ -1,6 +1,7 @@
 // Collisions of particles at the end of each substep.
 #pragma once
 
+#include <array>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -125,6 +126,28 @@ class SpringContacts {
   // Collides the midpoints of edges, given the largest displacement and rotation of colliders.
   void resolve_midpoints(double max_displacement, double max_angle, StepState state,
                          std::vector<std::uint8_t>* particle_marks);
+  // A triangle, the collider of a moving mesh, and a node of it with fine points. In a step, the
+  // nearest of these, the distance beyond the contact distance, negative if unknown, and the
+  // offsets of the corners from that point.
+  struct FineTriangle {
+    std::size_t corner, collider;
+    std::int32_t node, point;
+    double clearance;
+    std::array<collide::Vec, 3> offsets;
+  };
+
+  // Lists the triangles that fine points of moving meshes may touch in the interval.
+  void list_fine_triangles(const StepState& state);
+  // Collides the points of triangles that are nearest to fine points of moving meshes.
+  void resolve_fine_points(StepState state, std::vector<std::uint8_t>* particle_marks);
+  // Finds the fine point nearest to a triangle; returns its distance, at most twice the contact
+  // distance.
+  double find_fine_point(FineTriangle& fine, const StepState& state) const;
+  // Whether a triangle moved less than its clearance since the last search.
+  bool is_clear(const FineTriangle& fine, const StepState& state) const;
+  // Collides the point of a triangle that is nearest to a point; returns whether it moved.
+  bool resolve_triangle_point(std::size_t c, const std::int32_t* corners, collide::Vec nearby,
+                              StepState& state, std::vector<std::uint8_t>* particle_marks);
   // Allowed depth of a particle, or of a midpoint, in a collider.
   double depth(std::size_t c, std::size_t n) const;
   // Resolves all contacts of a particle and updates its clearance; returns whether it moved.
@@ -154,6 +177,7 @@ class SpringContacts {
   std::vector<std::int32_t>
       particles_near_colliders_;  // particles whose edges may touch colliders in this step
   std::vector<MovingSurface> surfaces_;
+  std::vector<FineTriangle> fine_triangles_;
   std::size_t collider_count_;
   std::int64_t interval_count_;
   bool has_midpoints_;

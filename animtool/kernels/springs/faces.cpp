@@ -11,9 +11,13 @@ namespace animtool {
 
 namespace {
 
+using collide::boxes_overlap;
 using collide::Collider;
+using collide::curvature_radius;
 using collide::load;
+using collide::max_of;
 using collide::Mesh;
+using collide::min_of;
 using collide::Shape;
 using collide::store;
 using collide::Vec;
@@ -24,19 +28,8 @@ using shapes::position_of;
 constexpr double EDGE_REACH_FACTOR = 1.2;
 // Smallest distance from lines without thickness [longest rest edge].
 constexpr double MIN_CONTACT_DISTANCE = 1e-3;
-// Angle below which neighbouring faces of boxes and meshes count as flat [rad].
-constexpr double FLAT_ANGLE = 1e-3;
 // Contact searches in a step, and iterations of resolving contacts.
 constexpr int MAX_CONTACT_SEARCHES = 2, MAX_ITERATIONS = 6;
-
-Vec min_of(Vec a, Vec b) { return {std::min(a.x, b.x), std::min(a.y, b.y), std::min(a.z, b.z)}; }
-Vec max_of(Vec a, Vec b) { return {std::max(a.x, b.x), std::max(a.y, b.y), std::max(a.z, b.z)}; }
-// Whether boxes are at most a distance apart along each axis.
-bool boxes_overlap(Vec low, Vec high, Vec other_low, Vec other_high, double distance) {
-  return low.x <= other_high.x + distance && high.x >= other_low.x - distance &&
-         low.y <= other_high.y + distance && high.y >= other_low.y - distance &&
-         low.z <= other_high.z + distance && high.z >= other_low.z - distance;
-}
 
 // The corners and edges of a box.
 FineFeatures box_features(const double* half_extents) {
@@ -49,24 +42,6 @@ FineFeatures box_features(const double* half_extents) {
     for (const std::int32_t axis : {1, 2, 4})
       if (!(k & axis)) features.lines.push_back({k, k | axis});
   return features;
-}
-
-// Radius of curvature of a mesh at the edge of a triangle: infinite if the edge is flat or concave,
-// and at most that of faces of a given width.
-double curvature_radius(const Mesh& mesh, std::int32_t triangle, int side, double max_width) {
-  const std::int32_t* corner = mesh.triangles + 3 * triangle;
-  const Vec a = mesh.point(corner[side]), b = mesh.point(corner[(side + 1) % 3]);
-  const Vec opposite = mesh.point(corner[(side + 2) % 3]) - a, edge = b - a;
-  const double squared_length = dot(edge, edge);
-  if (!(squared_length > 0)) return collide::INF;
-  const Vec inward = opposite - edge * (dot(opposite, edge) / squared_length);
-  const Vec sum = load(mesh.edge_normals + 9 * triangle + 3 * side);
-  // On the boundary of an open mesh.
-  if (dot(sum, sum) == 0) return 0;
-  if (!(dot(sum, inward) < -FLAT_ANGLE * FLAT_ANGLE * length(inward))) return collide::INF;
-  const Vec normal = collide::face_normal(mesh, triangle, {});
-  const double angle = 2 * std::atan2(length(cross(normal, sum)), dot(normal, sum));
-  return angle > FLAT_ANGLE ? std::min(length(inward), max_width) / angle : collide::INF;
 }
 
 // The sharp edges of a mesh and their ends.

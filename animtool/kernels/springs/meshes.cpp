@@ -219,6 +219,41 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t interval
   if (bounds_.empty()) check::refuse("colliders.surfaces", "a surface has no triangle");
 }
 
+void MovingSurface::find_fine_points(double max_radius, double max_size) {
+  is_fine_.clear();
+  for (const double radius : surface_->curvature_radii()) is_fine_.push_back(radius < max_radius);
+  const Mesh mesh = surface_->mesh(points_.data(), nullptr, bounds_.data());
+  // Children follow their parents.
+  const std::size_t node_count = bounds_.size() / 6;
+  std::vector<std::uint8_t> has_fine(node_count, 0), is_covered(node_count, 0);
+  for (std::size_t node = node_count; node-- > 0;) {
+    const std::int32_t left = mesh.nodes[2 * node], right = mesh.nodes[2 * node + 1];
+    if (left >= 0)
+      has_fine[node] =
+          has_fine[static_cast<std::size_t>(left)] | has_fine[static_cast<std::size_t>(right)];
+    else
+      for (std::int32_t c = 3 * (-1 - left); c < 3 * (-1 - left + right); ++c)
+        has_fine[node] |= is_fine_[static_cast<std::size_t>(mesh.triangles[c])];
+  }
+  for (std::size_t node = 0; node < node_count; ++node) {
+    const double* box = bounds_.data() + 6 * node;
+    const bool is_leaf = mesh.nodes[2 * node] < 0;
+    const bool is_small = is_leaf || !(length(load(box + 3) - load(box)) > max_size);
+    if (has_fine[node] && is_small && !is_covered[node])
+      fine_nodes_.push_back(static_cast<std::int32_t>(node));
+    if (is_leaf) continue;
+    for (const int side : {0, 1})
+      is_covered[static_cast<std::size_t>(mesh.nodes[2 * node + side])] =
+          is_covered[node] || is_small;
+  }
+}
+
+std::int32_t MovingSurface::point_below(std::int32_t node) const {
+  const Mesh mesh = surface_->mesh(points_.data(), nullptr, bounds_.data());
+  while (mesh.nodes[2 * node] >= 0) node = mesh.nodes[2 * node];
+  return mesh.triangles[3 * (-1 - mesh.nodes[2 * node])];
+}
+
 bool MovingSurface::begin_interval(std::int64_t interval, double duration) {
   const std::int64_t knot = (first_interval_ + interval) / intervals_per_knot_,
                      elapsed_intervals = (first_interval_ + interval) % intervals_per_knot_;

@@ -135,6 +135,23 @@ class MovingSurface {
   // The box of all triangles.
   const double* box() const { return bounds_.data(); }
   double margin() const { return settings_[2]; }
+  // Marks points whose radius of curvature is below a limit, and finds the largest nodes below a
+  // size that contain any.
+  void find_fine_points(double max_radius, double max_size);
+  bool is_fine(std::int32_t point) const { return is_fine_[static_cast<std::size_t>(point)]; }
+  const std::vector<std::int32_t>& fine_nodes() const { return fine_nodes_; }
+  // A box of a node at a fraction of the knot interval.
+  std::array<collide::Vec, 2> box_at(std::int32_t node, double fraction) const {
+    const auto row = 6 * static_cast<std::size_t>(node);
+    if (!(max_displacement_ > 0))
+      return {collide::load(&bounds_[row]), collide::load(&bounds_[row + 3])};
+    const auto corner = [&](std::size_t k) {
+      return collide::load(&start_bounds_[k]) + collide::load(&shift_bounds_[k]) * fraction;
+    };
+    return {corner(row), corner(row + 3)};
+  }
+  // Any point of the triangles below a node.
+  std::int32_t point_below(std::int32_t node) const;
   // Displacement of the point of a triangle nearest to p, in the knot interval.
   collide::Vec surface_shift(const collide::Mesh& mesh, std::int32_t triangle,
                              collide::Vec p) const;
@@ -142,6 +159,8 @@ class MovingSurface {
  private:
   void measure_motion(const double* begin, const double* end);
 
+  std::vector<std::uint8_t> is_fine_;
+  std::vector<std::int32_t> fine_nodes_;
   const MeshSurface* surface_;
   In<double, 3> points_;
   std::array<double, 5> settings_;

@@ -202,13 +202,18 @@ bool SelfContacts::find_tunnelling(double h, const std::vector<double>& from,
   return !tunnelling_corners_.empty() || !tunnelling_edges_.empty();
 }
 
-void SelfContacts::separate_tunnelling(double h, std::vector<double>& before,
-                                       std::vector<double>& x) const {
+void SelfContacts::separate_pairs(double h, const std::vector<LayerHit>& corners,
+                                  const std::vector<LayerHit>& edges, double distance_fraction,
+                                  std::vector<double>& before, std::vector<double>& x) const {
   Separation separation(layers_->friction, layers_->separation_speed * h, network_.inverse_masses,
                         before, x, true);
-  for (const LayerHit& hit : tunnelling_corners_)
-    separation.separate<TrianglesAndCorners::Shape>(hit);
-  for (const LayerHit& hit : tunnelling_edges_) separation.separate<EdgesAndEdges::Shape>(hit);
+  const auto at_fraction = [&](LayerHit hit) {
+    hit.distance *= distance_fraction;
+    return hit;
+  };
+  for (const LayerHit& hit : corners)
+    separation.separate<TrianglesAndCorners::Shape>(at_fraction(hit));
+  for (const LayerHit& hit : edges) separation.separate<EdgesAndEdges::Shape>(at_fraction(hit));
   separation.finish();
 }
 

@@ -25,6 +25,8 @@ using IntersectionCounts = std::tuple<std::int64_t, std::int64_t, double>;
 class SelfContacts {
   // Iterations that separate tunnelling pairs in a step; and of all iterations, with rigid zones.
   static constexpr int SEPARATION_ITERATIONS = 6, MAX_ITERATIONS = 40;
+  // Gap to which pairs in rigid zones are separated [contact distance].
+  static constexpr double ZONE_GAP_FRACTION = 0.02;
 
  public:
   SelfContacts(const SpringLayers& layers, const SpringNetwork& network);
@@ -86,9 +88,15 @@ class SelfContacts {
   // returns whether there are any.
   bool find_tunnelling(double h, const std::vector<double>& from, const std::vector<double>& x,
                        std::vector<std::uint8_t>& is_moved);
+  void mark_zones(std::vector<std::uint8_t>& is_moved) const {
+    for (const std::int32_t n : zones_->members()) is_moved[static_cast<std::size_t>(n)] = 1;
+  }
   // Records tunnelling pairs as intersections.
   void record_tunnelling();
-  void separate_tunnelling(double h, std::vector<double>& before, std::vector<double>& x) const;
+  // Separates pairs to a fraction of their contact distance.
+  void separate_pairs(double h, const std::vector<LayerHit>& corners,
+                      const std::vector<LayerHit>& edges, double distance_fraction,
+                      std::vector<double>& before, std::vector<double>& x) const;
   // Measures the relative displacement of nearby elements in a step; `rebuild_cells` also rebuilds
   // the cells.
   void measure_displacements(double h, const std::vector<double>& before,
@@ -105,7 +113,8 @@ class SelfContacts {
   LayerContacts<EdgesAndEdges> edge_contacts_;
   std::optional<IntersectionResolver> resolver_;
   std::optional<ImpactZones> zones_;
-  std::vector<LayerHit> tunnelling_corners_, tunnelling_edges_;
+  std::vector<LayerHit> tunnelling_corners_, tunnelling_edges_, zone_corners_, zone_edges_;
+  std::vector<double> before_gaps_, x_before_gaps_;  // positions before gaps were widened
   std::vector<Intersection> initial_corner_intersections_, initial_edge_intersections_;
   std::int64_t interval_ = -1, max_corner_intersections_ = 0, max_edge_intersections_ = 0;
 
@@ -129,19 +138,34 @@ void SelfContacts::prevent_tunnelling(double h, const std::vector<double>& from,
   if (!layers_ || !resolver_ || pair_list_.distance < 0) return;
   corner_contacts_.drop_resolved(*layers_, x);
   edge_contacts_.drop_resolved(*layers_, x);
-  for (int iteration = 0; find_tunnelling(h, from, x, is_moved); ++iteration) {
+  int iteration = 0;
+  for (; find_tunnelling(h, from, x, is_moved); ++iteration) {
     if (iteration == MAX_ITERATIONS) return record_tunnelling();
     if (iteration < SEPARATION_ITERATIONS) {
-      separate_tunnelling(h, before, x);
+      separate_pairs(h, tunnelling_corners_, tunnelling_edges_, 1, before, x);
       resolve_contacts();
       continue;
     }
-    if (iteration == SEPARATION_ITERATIONS) zones_->clear();
+    if (iteration == SEPARATION_ITERATIONS) {
+      zones_->clear();
+      zone_corners_.clear();
+      zone_edges_.clear();
+    }
     zones_->add_contacts(tunnelling_corners_);
     zones_->add_contacts(tunnelling_edges_);
     zones_->move_rigidly(from, before, x);
-    for (const std::int32_t n : zones_->members()) is_moved[static_cast<std::size_t>(n)] = 1;
+    zone_corners_.insert(zone_corners_.end(), tunnelling_corners_.begin(),
+                         tunnelling_corners_.end());
+    zone_edges_.insert(zone_edges_.end(), tunnelling_edges_.begin(), tunnelling_edges_.end());
+    mark_zones(is_moved);
   }
+  if (iteration <= SEPARATION_ITERATIONS) return;
+  // Gaps would shrink over the steps until the motion of pinned particles, which is not rigid,
+  // closes them.
+  before_gaps_ = before, x_before_gaps_ = x;
+  separate_pairs(h, zone_corners_, zone_edges_, ZONE_GAP_FRACTION, before, x);
+  mark_zones(is_moved);
+  if (find_tunnelling(h, from, x, is_moved)) before = before_gaps_, x = x_before_gaps_;
 }
 
 }  // namespace animtool

@@ -16,6 +16,7 @@ from animtool.core.arguments import argument
 from animtool.core.clock import frame_label
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.files.output import check_outputs, protect_inputs
+from animtool.core.loaded import check_loaded, path_list
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameList
 from animtool.preview.build import PreviewPage, make_page
@@ -119,7 +120,7 @@ class PictureReport:
 
 
 def write_pictures(
-    files: Sequence[Path | str],
+    files: Path | str | Sequence[Path | str],
     output: Path | str,
     options: PreviewOptions | None = None,
     pictures: PictureOptions | None = None,
@@ -149,7 +150,11 @@ def write_pictures(
             (CLI005).
         OutputError: It cannot be written.
     """
-    paths, output = [Path(file) for file in files], Path(output)
+    paths, output = path_list(files, "files"), Path(output)
+    if options is not None:
+        check_loaded(options, PreviewOptions, "options")
+    if pictures is not None:
+        check_loaded(pictures, PictureOptions, "pictures")
     kind = picture_kind(output)
     if kind is None:
         message, hint = "a page is not a picture", "use write_page for it"

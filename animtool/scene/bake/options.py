@@ -10,7 +10,12 @@ from typing import Any
 from animtool.clip.reduction.tolerance import KEY_TOLERANCE
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import Key, inherits_docs, option
+from animtool.core.options import (
+    Key,
+    convert_option_values,
+    inherits_docs,
+    option,
+)
 from animtool.core.rates import FractionLike, OptionalFraction, rate_option
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, FrameRangeLike, OptionalRange, Shot
@@ -336,7 +341,8 @@ class BakeOptions:
     overwrite: bool = option(False, "switch", help="Replace outputs that exist.")
 
     def __post_init__(self) -> None:
-        """Convert the rate and the start from numbers or text."""
+        """Convert rates, frames, units and lengths from numbers or text."""
+        convert_option_values(self)
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
         start: Any = self.start

@@ -17,6 +17,7 @@ from animtool.core.errors import (
     Fault,
     OptionError,
     Severity,
+    counted,
     listed,
     warning,
 )
@@ -300,6 +301,8 @@ def plan_takes(
         options = replace(options, shot=replace(options.shot, fps=fps))
     notices += _rate_warning(target, fps)
     notices += _unwritten_points_warning(streams, options)
+    if target is None:
+        notices += _unwritten_meshes_note(sources, streams, options)
     if options.reduce is not None:
         rig = streams[0].rig
         notices += tolerance_notices(options.reduce, rig, str(sources[0]))
@@ -430,6 +433,27 @@ def _unwritten_points_warning(
         return []
     message = f"points of {listed(point_names)} are simulated, but not written"
     return [warning("SIM134", message, "an output with deform: true includes them")]
+
+
+def _unwritten_meshes_note(
+    sources: Sequence[Path], streams: list[TakeStream], options: BakeOptions
+) -> list[Fault]:
+    """Note the meshes of USD sources that a stage will not contain (USD127)."""
+    if options.deform:
+        return []
+    return [
+        Fault(
+            "USD127",
+            f"the stage has the joints, not {counted(len(meshes), 'mesh', 'meshes')}: "
+            f"{listed(meshes, MAX_LISTED_NAMES)}",
+            str(path),
+            (),
+            f"{argument('source.rig', path)} includes them",
+            Severity.NOTE,
+        )
+        for path, stream in zip(sources, streams, strict=True)
+        if (meshes := stream.unread_meshes)
+    ]
 
 
 def _namespace_warning(streams: list[TakeStream], options: BakeOptions) -> list[Fault]:

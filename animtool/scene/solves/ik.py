@@ -48,6 +48,7 @@ from animtool.ik.report import (
     rest_notices,
     span_notices,
 )
+from animtool.ik.sub_rig import within_limits
 from animtool.ik.take_run import TakeIk
 from animtool.ik.tracks import TargetTracks
 from animtool.ik.values import KeyedValue
@@ -56,6 +57,11 @@ from animtool.motion.driving import drive_take
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
+from animtool.rig.joints import (
+    LocalTransforms,
+    local_from_coordinates,
+    project_to_coordinates,
+)
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.progress import Progress
@@ -331,12 +337,27 @@ def _goal_tolerances(job: IkJob) -> tuple[float, float]:
 
 
 MAX_LISTED_NAMES = 6
+# Smaller distances of the rest pose from limits are rounding [rad], [m].
+LIMIT_TOLERANCE = 1e-6
 
 
 def rest_take(rig: Rig, clock: Clock) -> Take:
-    """Return a take of the rest pose, with controls at their defaults."""
+    """Return a take of the rest pose within limits, with controls at their defaults."""
     empty_clip = Clip("rest", clock.fps, clock.start, clock.last, ())
-    return empty_clip.sample(rig, step=clock.step)
+    take = empty_clip.sample(rig, step=clock.step)
+    translations, rotations, _ = take.motion.select(slice(0, 1)).dense()
+    rest = project_to_coordinates(rig, LocalTransforms(translations, rotations))
+    start = within_limits(rig, rest)
+    # Limits are often rounded.
+    if np.allclose(start, rest, rtol=0.0, atol=LIMIT_TOLERANCE):
+        return take
+    local = local_from_coordinates(rig, start)
+    motion = replace(
+        take.motion,
+        translations=Channel.static(local.translations[0], len(take)),
+        rotations=Channel.static(local.rotations[0], len(take)),
+    )
+    return replace(take, motion=motion)
 
 
 def open_start(

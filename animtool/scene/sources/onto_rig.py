@@ -146,6 +146,7 @@ def map_to_rig(
         stream,
         rig=rig,
         blocks=(name_map.apply(block) for block in source_blocks),
+        unread_meshes=(),
         control_curves={
             name: curves
             for name, curves in stream.control_curves.items()
@@ -198,7 +199,9 @@ def map_to_rig_file(
     mapped_stream, name_map = map_to_rig(reoriented_stream, rig, note)
     unmatched_notices = unmapped_notices(name_map, reoriented_stream.rig, str(path))
     differences: list[Fault] = []
-    if reoriented_stream.rig.joints and rig.joints:
+    # A file fits itself, however its stage places the character.
+    is_other_file = not (path.exists() and path.samefile(rig_path))
+    if is_other_file and reoriented_stream.rig.joints and rig.joints:
         _, differences = check_fit(
             reoriented_stream.rig,
             rig,

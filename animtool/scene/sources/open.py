@@ -12,7 +12,14 @@ from animtool.core.errors import AnimtoolError, Fault, OptionError
 from animtool.core.files.reading import FileState, record_input
 from animtool.core.loaded import check_loaded
 from animtool.core.names import has_kind_suffix
-from animtool.core.options import Key, inherits_docs, option, option_marker, options_of
+from animtool.core.options import (
+    Key,
+    convert_option_values,
+    inherits_docs,
+    option,
+    option_marker,
+    options_of,
+)
 from animtool.core.rates import OptionalFraction, rate_option, rate_warning
 from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
 from animtool.core.record import dataclass
@@ -225,7 +232,8 @@ class SourceOptions:
     shot: Shot | None = None
 
     def __post_init__(self) -> None:
-        """Convert ``fps`` from a number or text to a fraction."""
+        """Convert the rate, the unit and the up axis from numbers or text."""
+        convert_option_values(self)
         if self.fps is not None:
             object.__setattr__(self, "fps", rate_option(self.fps))
 

@@ -36,7 +36,7 @@ from animtool.scene.systems.simulation import (
 )
 from animtool.systems.framework.run import EntryRun, ReachedState
 from animtool.systems.framework.saved import write_states
-from animtool.systems.framework.simulation import NeedsFinalState
+from animtool.systems.framework.simulation import NeedsFinalState, StartsLater
 from animtool.usd.caches.writer import CachedMesh
 from animtool.usd.layers.names import distinct_names, legal_name
 from animtool.usd.layers.sdf import StageMetadata
@@ -158,6 +158,16 @@ class SystemRun:
         notices += self._warnings
         for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
             notices += map(system.location.locate, entry_run.notices)
+        return notices
+
+    def late_start_notices(self, last: float) -> list[Fault]:
+        """Return warnings about systems that hold nothing until the last frame [s]."""
+        notices = []
+        for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
+            simulation = entry_run.run.simulation
+            if isinstance(simulation, StartsLater):
+                notice = simulation.late_start_notice(last)
+                notices += [] if notice is None else [system.location.locate(notice)]
         return notices
 
     @property

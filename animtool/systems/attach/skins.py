@@ -169,10 +169,15 @@ def contact_offsets(
     """Return offsets of the contact distance for points near a skin ``(N,)`` [m].
 
     Offsets are at most 0: points that start closer keep their initial distance. With
-    ``keeps_inside``, points that start inside may stay as deep.
+    ``keeps_inside``, points that start inside may stay as deep; without, those deeper
+    than the distance have an offset of 0.
     """
     mesh = Mesh(surface.points, surface.triangles, closed=True)
     samples = Colliders([Collider(mesh)]).sample(points, 0.0, 1.0)
     distances = samples.distances[0]
-    min_distance = -np.inf if keeps_inside else 0.0
-    return np.asarray(np.clip(distances, min_distance, distance) - distance)
+    if keeps_inside:
+        return np.asarray(np.minimum(distances, distance) - distance)
+    # A pose that puts a limb through cloth says nothing about how close it is worn.
+    is_through = distances < -distance
+    offsets = np.clip(distances, 0.0, distance) - distance
+    return np.where(is_through, 0.0, offsets)

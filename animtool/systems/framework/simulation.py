@@ -162,6 +162,14 @@ class NeedsFinalState(Protocol[State_contra]):
 
 
 @runtime_checkable
+class StartsLater(Protocol):
+    """A simulation that may hold nothing until a time."""
+
+    def late_start_notice(self, t: float) -> Fault | None:
+        """Return a warning if nothing exists until a time [s]; None if it may."""
+
+
+@runtime_checkable
 class ChecksResumedState(Protocol[State_contra]):
     """A simulation with additional checks of resumed states."""
 

@@ -375,25 +375,10 @@ class ParticleSimulation:
                 message += "inside it"
                 hint = "to remove what leaves it, write container: true"
             return warning("SIM188", message, hint, f"kill[{k}]")
-        start_times = [
-            min(
-                [
-                    *(time for time, count in emitter.bursts if count),
-                    emitter.start if emitter.rate else np.inf,
-                ]
-            )
-            for emitter in emitters
-        ]
-        first_time = min(start_times)
-        if t < first_time < np.inf:
-            message += (
-                f": the first emitter starts at {first_time:g} s, after the last "
-            )
-            message += f"frame, at {t:.3g} s"
-            hint = "times are in seconds from the first frame of the range"
-            location = f"emitters[{start_times.index(first_time)}]"
-            return warning("SIM188", message, hint, location)
-        for i, emitter in enumerate(emitters):
+        late_start = self.late_start_notice(t)
+        if late_start is not None:
+            return late_start
+        for i, emitter in enumerate(self.setup.emitters):
             if emitter.bursts and not any(count for _, count in emitter.bursts):
                 burst_time = emitter.bursts[0][0]
                 message += f": a burst of 0 particles is at {burst_time:g} s"
@@ -405,6 +390,27 @@ class ParticleSimulation:
                 return warning("SIM188", message, hint, location)
         hint = "set a rate or bursts, and a start and a lifetime with which "
         return warning("SIM188", message, hint + "particles exist in the range")
+
+    def late_start_notice(self, t: float) -> Fault | None:
+        """Return a warning if all emitters start after a time [s] (SIM188)."""
+        emitters = self.setup.emitters
+        start_times = [
+            min(
+                [
+                    *(time for time, count in emitter.bursts if count),
+                    emitter.start if emitter.rate else np.inf,
+                ]
+            )
+            for emitter in emitters
+        ]
+        first_time = min(start_times, default=np.inf)
+        if not t < first_time < np.inf:
+            return None
+        message = "there are no particles in any frame: the first emitter starts at "
+        message += f"{first_time:g} s, after the last frame, at {t:.3g} s"
+        hint = "times are in seconds from the first frame of the range"
+        location = f"emitters[{start_times.index(first_time)}]"
+        return warning("SIM188", message, hint, location)
 
     def _energy(self, state: ParticleRunState, t: float) -> Energy | None:
         """Return the energy of a state; None if the system does not conserve energy."""

@@ -52,6 +52,12 @@ def skinned_prims(skeleton: Any, schema: Any) -> list[Any]:
     ]
 
 
+def skinned_mesh_names(skeleton: Any) -> tuple[str, ...]:
+    """Return the names of the visible meshes that a Skeleton deforms."""
+    prims = [query.GetPrim() for query in skinned_prims(skeleton, UsdGeom.Mesh)]
+    return tuple(str(prim.GetName()) for prim in prims if is_rig_mesh(prim))
+
+
 def skeleton_bindings(root: Any) -> Any:
     """Return the `UsdSkel.Binding` of each Skeleton below a SkelRoot."""
     cache, predicate = UsdSkel.Cache(), Usd.TraverseInstanceProxies()

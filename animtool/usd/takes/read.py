@@ -62,6 +62,7 @@ from animtool.usd.rigs.skinned import (
     MAX_LISTED_PRIMS,
     character_paths,
     missing_animation_reason,
+    skinned_mesh_names,
     unapplied_binding_path,
 )
 from animtool.usd.takes.animation import (
@@ -179,6 +180,7 @@ def read_character(
             animation, PrimLocation.from_prim(path, animation)
         )
     else:
+        stream.unread_meshes = skinned_mesh_names(skeletons[0])
         _merge_stored_rig(stream, skeletons[0], skeleton, path)
         if animation is not None and not UsdSkel.Root.Find(skeleton_prim):
             stream.notices.append(_missing_root_notice(skeleton_prim, animation, path))

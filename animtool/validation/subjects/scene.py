@@ -136,8 +136,15 @@ def _system_faults(scene: Scene, take: Take | None) -> list[Fault]:
         run = SystemRun(scene.systems, seconds, motion, main_rig=rig)
     except AnimtoolError as error:
         return list(error.faults)
+    # A start that looks like a frame is reported where it is written.
+    reported = [notice.where or "" for notice in scene.notices]
+    notices = run.notices + [
+        notice
+        for notice in (run.late_start_notices(seconds) if seconds else ())
+        if not any(where.startswith(notice.where or "") for where in reported)
+    ]
     # Notes are about how it will be simulated.
-    return [notice for notice in run.notices if notice.severity is not Severity.NOTE]
+    return [notice for notice in notices if notice.severity is not Severity.NOTE]
 
 
 def _simulated_seconds(scene: Scene, take: Take | None) -> float:

@@ -1,4 +1,4 @@
-"""animtool: many problems in a call, or with ``single`` a call of a session for each."""
+"""animtool: many problems in a call, or with ``single`` a session's call for each."""
 
 import sys
 from collections.abc import Iterator

@@ -172,6 +172,19 @@ def test_bytes_behind_the_frames_are_reported(tmp_path: Path) -> None:
     assert codes(markers) == ["C3D108"]
 
 
+@pytest.mark.parametrize(
+    ("blocks", "found"), [(b"\0" * 512, []), (b"\0" * 1024, ["C3D108"])]
+)
+def test_a_block_of_zeros_behind_full_blocks(
+    tmp_path: Path, blocks: bytes, found: list[str]
+) -> None:
+    data = C3dFile(moving(32, 4)[10:18], ["a", "b", "c", "d"]).build()
+    assert len(data) % 512 == 0
+    path = tmp_path / "take.c3d"
+    path.write_bytes(data + blocks)
+    assert codes(read_c3d(path)) == found
+
+
 def test_rotations_behind_the_points(tmp_path: Path) -> None:
     data = take().build()
     after = number(len(data) // 512 + 1)

@@ -217,3 +217,55 @@ def test_ranges_in_another_unit(
     path = write(tmp_path, text.replace(' ref="0.4"', ""), "arm.xml")
     codes = [notice.code for notice in read_mjcf_rig(path).notices]
     assert codes.count("MJC110") == found
+
+
+def test_free_joints_count_from_the_frame_of_the_file(tmp_path: Path) -> None:
+    text = MODEL.replace('<freejoint name="float"/>', '<freejoint align="true"/>')
+    text = text.replace('euler="0 0 1">', 'euler="0 0 1"><geom size="1" pos="1 2 3"/>')
+    ours = rig_matrices(read_mjcf_rig(write(tmp_path, text, "arm.xml")), {})["free"]
+    half = np.array([np.cos(1), np.sin(1)])
+    assert_allclose(ours[:2, 0], half, atol=1e-12)
+    assert_allclose(ours[:3, 3], [1, 0, 0], atol=1e-12)
+
+
+def test_equalities_are_inactive_by_default_class(tmp_path: Path) -> None:
+    text = with_equality('<joint joint1="c" joint2="one"/>')
+    text = text.replace("<default>", '<default><equality active="false"/>')
+    rig = read_mjcf_rig(write(tmp_path, text, "arm.xml"))
+    assert rig.joints[rig.index("c")].mimic is None
+
+
+def test_constants_hold_in_a_take(tmp_path: Path) -> None:
+    text = with_equality('<joint joint1="c" polycoef="0.3 0 0 0 0"/>')
+    path = write(tmp_path, text, "arm.xml")
+    take = read_mjcf(path).collect()
+    turn = take.motion.rotations.dense()[0, take.rig.index("c")]
+    assert_allclose(turn, [np.sin(0.15), 0, 0, np.cos(0.15)], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("equality", "found"),
+    [
+        ('<joint joint1="c" joint2="push" polycoef="0 2 0 0 0"/>', True),
+        ('<joint joint1="c" joint2="push" polycoef="0 1 0 0 0"/>', False),
+        ('<joint joint1="c" joint2="one" polycoef="0 9 0 0 0"/>', False),  # unlimited
+        (
+            '<joint joint1="c" joint2="one" polycoef="0 1 0 0 0"/><joint joint1="push" '
+            'joint2="one" polycoef="3 1 0 0 0"/>',
+            True,
+        ),
+        (
+            '<joint joint1="c" joint2="one" polycoef="0 1 0 0 0"/><joint joint1="push" '
+            'joint2="one" polycoef="2 1 0 0 0"/>',
+            False,
+        ),
+        ('<joint joint1="c" polycoef="2 0 0 0 0"/>', True),
+        ('<joint joint1="c" polycoef="1 0 0 0 0"/>', False),
+    ],
+)
+def test_equalities_beyond_limits(tmp_path: Path, equality: str, found: bool) -> None:
+    text = with_equality(equality).replace(
+        'name="c" axis', 'name="c" range="-1.5 1.5" axis'
+    )
+    rig = read_mjcf_rig(write(tmp_path, text, "arm.xml"))
+    assert [notice.code for notice in rig.notices].count("MJC111") == found

@@ -127,6 +127,54 @@ def test_a_rig_of_its_own(write: Callable[[str], Path]) -> None:
     assert types == {"knee": JointType.PIN, "pelvis_ty": JointType.PRISMATIC}
 
 
+@pytest.mark.parametrize(
+    ("column", "code"),
+    [("77\t78\t79", ["MOF114"]), ("10.72958\t15.72958\t20.72958", [])],
+)
+def test_a_column_of_a_mimic_joint_is_used(
+    write: Callable[[str], Path], tmp_path: Path, column: str, code: list[str]
+) -> None:
+    rig_file = tmp_path / "leg.rig.yaml"
+    rig_file.write_text(rig_text(RIG), "utf-8")
+    values = column.split()
+    rows = "".join(f"{i / 100}\t{10 + 10 * i}\t{values[i]}\n" for i in range(3))
+    stream = read_mot(write(f"{HEAD}time\tknee\tshadow\n{rows}"), rig=rig_file)
+    assert codes(stream.notices) == code
+    shadow = np.degrees(coordinates(stream.collect())[:, 14])
+    assert shadow == pytest.approx([float(value) for value in values])
+
+
+@pytest.mark.parametrize(
+    ("first", "code", "start"),
+    [(10.25, ["MOF113"], 513), (10.26, [], 514), (10.250004, ["MOF113"], 514)],
+)
+def test_starts_between_frames_are_noted(
+    write: Callable[[str], Path], first: float, code: list[str], start: int
+) -> None:
+    rows = "".join(f"{first + i / 50:.6f}\t{i}\t0\n" for i in range(4))
+    stream = read_mot(write(f"{HEAD}time\tknee\tlift\n{rows}".replace("=3", "=4")))
+    assert [c for c in codes(stream.notices) if c == "MOF113"] == code
+    assert stream.start == start
+
+
+def test_names_with_separators_come_back(tmp_path: Path) -> None:
+    names = ["a b", "a_b", "a,b", "a  b.x", "é\u00a0c"]
+    rig = Rig(
+        "odd", tuple(Joint(name, i - 1, JointType.PIN) for i, name in enumerate(names))
+    )
+    rig_file, path = tmp_path / "odd.rig.yaml", tmp_path / "odd.mot"
+    rig_file.write_text(rig_text(rig), "utf-8")
+    q = np.random.default_rng(1).uniform(-1, 1, (3, len(names)))
+    local = local_from_coordinates(rig, q)
+    motion = Motion(*map(Channel.from_dense, (local.translations, local.rotations)))
+    clock = Clock(Fraction(100), Fraction(1), Fraction(1), 3)
+    write_text(Take(rig, clock, motion), path, build_mot_text, overwrite=False)
+    assert len(set(path.read_text("utf-8").splitlines()[6].split("\t"))) == 6
+    stream = read_mot(path, rig=rig_file)
+    assert "MOF102" not in codes(stream.notices)
+    assert coordinates(stream.collect()) == pytest.approx(q, abs=1e-9)
+
+
 def test_states_of_opensim(write: Callable[[str], Path]) -> None:
     table = (
         "time\t/jointset/knee_r/knee/value\t/jointset/knee_r/knee/speed\t/f/soleus\n"

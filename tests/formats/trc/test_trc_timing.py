@@ -151,6 +151,11 @@ def test_times_that_do_not_grow_are_refused(
     assert caught.value.faults[0].lines == (() if line is None else (line,))
 
 
+def test_a_first_time_of_few_decimals_is_kept(tmp_path: Path) -> None:
+    markers = read(tmp_path, text(range(1, 4), ["0.01", "0.02", "0.03"], 100))
+    assert (markers.clock.start, markers.begin) == (1, 0.01)
+
+
 @pytest.mark.parametrize("first", [("101", "0"), ("1", "5"), ("101", "1.66667")])
 def test_the_first_time_is_kept(tmp_path: Path, first: tuple[str, str]) -> None:
     number, begin = int(first[0]), float(first[1])

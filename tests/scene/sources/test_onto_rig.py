@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
-import pytest
+from pathlib import Path
 
+import pytest
+from numpy.testing import assert_allclose
+from support.placed import composed, stage_text
+
+from animtool.core.errors import FormatError
 from animtool.rig.skeleton import Joint, Rig
+from animtool.scene.bake.bake import bake
+from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.onto_rig import map_names
+from animtool.scene.sources.open import SourceOptions
 
 
 def arms(first: str, second: str) -> Rig:
@@ -37,3 +45,40 @@ def test_a_name_below_another_parent_is_still_found() -> None:
     rig = Rig("a", (Joint("hips", -1), Joint("hand", 0)))
     names = map_names(rig, arms("l", "r"))
     assert names.joints.tolist() == [0, 2]
+
+
+def test_a_file_fits_itself_however_its_stage_tilts_it(tmp_path: Path) -> None:
+    source, other = tmp_path / "tilted.usda", tmp_path / "upright.usda"
+    turn = "float xformOp:rotateX = 50\nuniform token[] xformOpOrder = ["
+    # Bones in a line have no front, so their tilt could not be told.
+    tilted, upright = (
+        text.replace("(0, -40, 1", "(30, -40, 1")
+        for text in (stage_text("set", f'{turn}"xformOp:rotateX"]'), stage_text())
+    )
+    source.write_text(tilted)
+    other.write_text(upright)
+    output = tmp_path / "out.usda"
+    options = BakeOptions(source=SourceOptions(rig=source))
+    report = bake(source, output, options)
+    assert not {"RIG040", "RIG041"} & {notice.code for notice in report.notices}
+    positions = composed(output)
+    assert_allclose(positions, composed(source), atol=1e-6)
+    with pytest.raises(FormatError) as caught:
+        bake(source, output.with_stem("other"), BakeOptions(SourceOptions(rig=other)))
+    assert caught.value.code == "RIG040"
+
+
+def test_meshes_that_a_stage_leaves_out_are_noted(tmp_path: Path) -> None:
+    source, output = tmp_path / "char.usda", tmp_path / "out.usda"
+    source.write_text(stage_text())
+    codes = {}
+    for name, options in {
+        "joints": BakeOptions(),
+        "meshes": BakeOptions(source=SourceOptions(rig=source)),
+        "points": BakeOptions(deform=True),
+        "layer": BakeOptions(rig_layer=source),
+    }.items():
+        report = bake(source, output.with_stem(name), options)
+        codes[name] = [n.code for n in report.notices if n.code == "USD127"]
+    assert codes == {"joints": ["USD127"], "meshes": [], "points": [], "layer": []}
+    assert '"body"' in output.with_stem("meshes").read_text()

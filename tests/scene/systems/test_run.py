@@ -16,6 +16,7 @@ from animtool.core.errors import AnimtoolError, ToleranceError
 from animtool.core.shot import FrameRange
 from animtool.scene.bake.prims import BakeReport
 from animtool.usd.checks import check_layer
+from animtool.validation.run import validate
 
 HEAD = "scene: animtool/1\nfps: 24\nrange: [1, 6]\nsystems:\n"
 ROPE = """\
@@ -106,6 +107,8 @@ def test_particles_that_are_never_there_are_said(tmp_path: Path) -> None:
     for emitter in ("{speed: 2}", "{rate: 9, start: 5.5}"):
         systems = DUST.replace("{rate: 100, speed: 2, lifetime: 1}", emitter)
         assert said(baked(tmp_path, systems, BakeOptions(overwrite=True))) == ["SIM188"]
+        codes = [fault.code for fault in validate(tmp_path / "shot.scene.yaml")]
+        assert codes == ["SIM188"] * ("start" in emitter)
     for emitter in ("{rate: 100}", "{bursts: [[0, 3]], lifetime: 0.01}"):
         systems = DUST.replace("{rate: 100, speed: 2, lifetime: 1}", emitter)
         assert said(baked(tmp_path, systems, BakeOptions(overwrite=True))) == []

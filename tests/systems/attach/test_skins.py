@@ -18,7 +18,12 @@ from support.attached import (
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Rig
-from animtool.systems.attach.skins import build_skins, skin_margin, triangulate_capped
+from animtool.systems.attach.skins import (
+    build_skins,
+    contact_offsets,
+    skin_margin,
+    triangulate_capped,
+)
 from animtool.systems.framework.meter import ClosedSurface, surface_depths
 
 SIZE = 10
@@ -29,10 +34,15 @@ FACES = np.array(
 TRIANGLES = np.concatenate([FACES[:, [0, 1, 2]], FACES[:, [0, 2, 3]]])
 
 
-def posted(faces: np.ndarray = FACES) -> Rig:
+def posted(
+    faces: np.ndarray = FACES,
+    size: int = SIZE,
+    wide: tuple[float, float] = (0.6, 0.3),
+    place: tuple[float, float] = (0.15, -0.2),
+) -> Rig:
     """Return a post with a sheet, and a box of skin in front of it."""
-    rig = sheet_rig(SIZE)
-    points = (BOX - [0.5, 0.5, 0]) * [0.6, 0.3, 0.2] + [0.15, -0.2, -0.215]
+    rig = sheet_rig(size)
+    points = (BOX - [0.5, 0.5, 0]) * [*wide, 0.2] + [*place, -0.215]
     every = np.zeros((8, 1))
     skin = Skin("linear", ("post",), LoadedArray(every), LoadedArray(every + 1.0))
     box = Mesh("box", LoadedArray(points), LoadedArray(faces.astype(float)), skin=skin)
@@ -65,6 +75,15 @@ def test_cloth_stays_out_of_a_skin_closed_or_not(faces: np.ndarray) -> None:
     take, codes = blown(posted(faces))
     assert deepest(take) < 1e-4
     assert "SIM180" not in codes
+
+
+@pytest.mark.parametrize("place", [(0.13, -0.17), (0.12, -0.19), (0.17, -0.21)])
+@pytest.mark.parametrize("size", [4, 5])
+def test_a_finger_between_the_points_of_coarse_cloth_does_not_pierce_it(
+    size: int, place: tuple[float, float]
+) -> None:
+    _, codes = blown(posted(size=size, wide=(0.016, 0.016), place=place))
+    assert not {"SIM180", "SIM181", "SIM182"} & set(codes)
 
 
 def test_without_it_cloth_goes_through() -> None:
@@ -100,6 +119,16 @@ def test_cloth_is_no_skin() -> None:
 def test_coarse_cloth_keeps_more() -> None:
     assert skin_margin(0.06, 0.005) == pytest.approx(0.01)
     assert skin_margin(0.006, 0.005) == 0
+
+
+def test_points_keep_how_near_they_are_worn_but_not_what_a_limb_is_through() -> None:
+    skin = ClosedSurface(BOX, TRIANGLES)
+    heights = np.array([1.3, 1.04, 0.95, 0.7])
+    points = np.stack([0 * heights + 0.5, 0 * heights + 0.5, heights], axis=1)
+    offsets = contact_offsets(skin, points, 0.1)
+    np.testing.assert_allclose(offsets, [0, -0.06, -0.1, 0], atol=1e-12)
+    kept = contact_offsets(skin, points, 0.1, keeps_inside=True)
+    np.testing.assert_allclose(kept, [0, -0.06, -0.15, -0.4], atol=1e-12)
 
 
 def test_in_blocks_it_moves_the_same() -> None:
