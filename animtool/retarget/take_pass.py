@@ -449,7 +449,10 @@ def _run_pass(stream: TakeStream, options: Any, context: PassContext) -> TakeStr
     context.notices.extend(notices)
     blocks = checked_blocks(retargeting, settings, stream.notices)
     retargeted_stream = replace(
-        source, rig=rig, blocks=_with_fit_report(retargeting, blocks, context)
+        source,
+        rig=rig,
+        blocks=_with_fit_report(retargeting, blocks, context),
+        unread_meshes=(),
     )
     if passthrough is None:
         return retargeted_stream

@@ -336,3 +336,15 @@ def test_position_channels_that_say_where_joints_are_are_taken(tmp_path: Path) -
     written = tmp_path / "free.bvh"
     write_bvh(free, written)
     assert "BVH111" not in animtool("info", written).stderr
+
+
+@pytest.mark.slow
+def test_meshes_of_the_source_are_not_missed_in_another_rig(tmp_path: Path) -> None:
+    stride = SAMPLE.parent / "stride/stride.clip.yaml"
+    source = tmp_path / "stride.usdc"
+    assert animtool("bake", stride, "-o", source).code == 0
+    assert "USD127" in animtool("bake", source, "-o", tmp_path / "a.usdc").stderr
+    rig = SAMPLE / "rigs/child.rig.yaml"
+    done = animtool("retarget", source, "--to", rig, "-o", tmp_path / "b.usdc")
+    assert done.code == 0, done.stderr
+    assert "USD127" not in done.stderr

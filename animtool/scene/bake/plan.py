@@ -44,7 +44,7 @@ from animtool.scene.bake.outline import (
 from animtool.scene.bake.prims import BakePlan, OutputPrims
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, layer_form
-from animtool.scene.sources.open import source_stem
+from animtool.scene.sources.open import is_usd, source_stem
 from animtool.usd.layers.jobs import LayerForm
 
 if TYPE_CHECKING:
@@ -444,11 +444,13 @@ def _unwritten_meshes_note(
     return [
         Fault(
             "USD127",
-            f"the stage has the joints, not {counted(len(meshes), 'mesh', 'meshes')}: "
+            f"the stage contains the joints, but not "
+            f"{counted(len(meshes), 'mesh', 'meshes')} that they deform: "
             f"{listed(meshes, MAX_LISTED_NAMES)}",
             str(path),
             (),
-            f"{argument('source.rig', path)} includes them",
+            f"{argument('source.rig', path if is_usd(path) else None)} includes them"
+            + ("" if is_usd(path) else " if it names the file of the source"),
             Severity.NOTE,
         )
         for path, stream in zip(sources, streams, strict=True)

@@ -80,5 +80,11 @@ def test_meshes_that_a_stage_leaves_out_are_noted(tmp_path: Path) -> None:
     }.items():
         report = bake(source, output.with_stem(name), options)
         codes[name] = [n.code for n in report.notices if n.code == "USD127"]
+    outer = tmp_path / "shot.scene.yaml"
+    outer.write_text("scene: animtool/1\nsource: char.usda\n")
+    (note,) = [
+        n for n in bake(outer, tmp_path / "s.usda").notices if n.code == "USD127"
+    ]
+    assert str(outer) not in (note.hint or "")
     assert codes == {"joints": ["USD127"], "meshes": [], "points": [], "layer": []}
     assert '"body"' in output.with_stem("meshes").read_text()
