@@ -11,7 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
-from animtool.core.files.reading import MAX_TEXT_BYTES, read_input, record_input
+from animtool.core.files.reading import (
+    MAX_TEXT_BYTES,
+    exists,
+    path_from_folder,
+    read_input,
+    record_input,
+)
 from animtool.core.rates import MAX_FRAME, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.timecode import is_timecode
@@ -234,7 +240,40 @@ def _version_control_root(folder: Path) -> Path | None:
     return None
 
 
-def innermost_project(folder: Path, target: Path) -> Path | None:
+def outside_hint(path: Path, name: str, *, is_output: bool = False) -> str:
+    """Return how to allow a file outside the project that another file refers to.
+
+    Args:
+        path: The file that has the reference.
+        name: The reference, relative to the folder of the file.
+        is_output: The referenced file is an output and need not exist.
+    """
+    folder = path.resolve().parent
+    try:
+        target_path = (folder / name).resolve()
+    except (OSError, RuntimeError, ValueError):
+        return "use a file inside the project"
+    if not (is_output or exists(target_path)):
+        return (
+            f"nor does it exist: copy {target_path.name}, and the files it refers to, "
+            f"into {folder}, and write its name here"
+        )
+    settings_path = find_config(path).path
+    if settings_path is None:
+        project_folder = _innermost_project(folder, target_path)
+        if project_folder is not None:
+            hint = f"to use files of all {project_folder}, create an empty file "
+            return f"{hint}animtool.toml in it"
+        settings_path = folder / "animtool.toml"
+    root = path_from_folder(target_path.parent, settings_path.parent)
+    is_pyproject = settings_path.name == "pyproject.toml"
+    table_text = " under [tool.animtool]" if is_pyproject else ""
+    return (
+        f'to allow that folder, add roots = ["{root}"] to {settings_path}{table_text}'
+    )
+
+
+def _innermost_project(folder: Path, target: Path) -> Path | None:
     """Return the innermost project that contains both paths; None if there is none."""
     for folder_above in (folder, *folder.parents):
         if target.is_relative_to(folder_above):

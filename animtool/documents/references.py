@@ -7,14 +7,13 @@ from itertools import islice
 from pathlib import Path
 
 from animtool.core.arguments import flag
-from animtool.core.config import find_config, innermost_project, project_roots
+from animtool.core.config import outside_hint, project_roots
 from animtool.core.errors import counted
 from animtool.core.files.reading import (
     MAX_SEARCHED_NAMES,
     exists,
     is_pattern,
     nearest_file,
-    path_from_folder,
     unexpanded_hint,
     url_hint,
 )
@@ -64,36 +63,9 @@ def resolve_reference(
     try:
         return resolve_path(folder, roots, name)
     except ValueError as error:
-        hint = _outside_hint(document.path, name, is_output)
+        hint = outside_hint(document.path, name, is_output=is_output)
         document.add("DOC014", location, str(error), hint)
         return None
-
-
-def _outside_hint(path: Path, name: str, is_output: bool) -> str:
-    """Return a hint for a reference to a file outside the project."""
-    folder = path.resolve().parent
-    try:
-        target_path = (folder / name).resolve()
-    except (OSError, RuntimeError, ValueError):
-        return "use a file inside the project"
-    if not (is_output or exists(target_path)):
-        return (
-            f"nor does it exist: copy {target_path.name}, and the files it refers to, "
-            f"into {folder}, and write its name here"
-        )
-    settings_path = find_config(path).path
-    if settings_path is None:
-        project_folder = innermost_project(folder, target_path)
-        if project_folder is not None:
-            hint = f"to use files of all {project_folder}, create an empty file "
-            return f"{hint}animtool.toml in it"
-        settings_path = folder / "animtool.toml"
-    root = path_from_folder(target_path.parent, settings_path.parent)
-    is_pyproject = settings_path.name == "pyproject.toml"
-    table_text = " under [tool.animtool]" if is_pyproject else ""
-    return (
-        f'to allow that folder, add roots = ["{root}"] to {settings_path}{table_text}'
-    )
 
 
 def similar_file_hint(document: Document, name: str) -> str | None:

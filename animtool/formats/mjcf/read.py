@@ -151,7 +151,7 @@ class _IncludeExpander:
     def __init__(
         self, path: Path, folders: PackageFolders, diagnostics: XmlDiagnostics
     ) -> None:
-        self._folders, self._notes = folders, diagnostics
+        self._path, self._folders, self._notes = path, folders, diagnostics
         self._included_files = {path.resolve()}
         self._element_count = 0
 
@@ -209,8 +209,7 @@ class _IncludeExpander:
                 path = self._folders.find(str(sibling_path))
         except OutsideError as error:
             message = f"{excerpt(name, 100)} is not included: {error}"
-            hint = "copy it into the project, or name its folder in animtool.toml: "
-            self._notes.add("MJC006", element, message, f"{hint}roots = [...]")
+            self._notes.add("MJC006", element, message, error.hint(self._path))
             return None
         if path is None or not exists(path):
             message = f"{excerpt(name, 100)} does not exist"

@@ -309,24 +309,25 @@ def _check_files(
         if name in {"assetdir", "meshdir", "texturedir"}
     }
     missing_files: dict[str, XmlElement] = {}
+    outside_files: dict[str, XmlElement] = {}
     for element, name in _file_attributes(root):
         setting = "texturedir" if element.tag == "texture" else "meshdir"
         folder = folders.get(setting, folders.get("assetdir", ""))
         try:
             if packages.find(f"{folder}/{name}" if folder else name) is None:
                 missing_files.setdefault(name, element)
-        except OutsideError as error:
-            message = f"file {excerpt(name, 100)} is refused: {error}"
-            hint = "copy it into the project, or name its folder in animtool.toml: "
-            hint += "roots = [...]"
-            location = named_element_label(element)
-            diagnostics.add("MJC016", element, message, hint, location=location)
-    if missing_files:
-        message = f"{counted(len(missing_files), 'file')} of its assets not found: "
-        message += listed([excerpt(n, 80) for n in missing_files], MAX_LISTED_FILES)
-        hint = "motion needs none of them"
-        element = next(iter(missing_files.values()))
-        diagnostics.add("MJC103", element, message, hint, severity=Severity.NOTE)
+        except OutsideError:
+            outside_files.setdefault(name, element)
+    for code, files, predicate in (
+        ("MJC103", missing_files, "not found"),
+        ("MJC016", outside_files, "outside the project, and not opened"),
+    ):
+        if files:
+            message = f"{counted(len(files), 'file')} of its assets {predicate}: "
+            message += listed([excerpt(n, 80) for n in files], MAX_LISTED_FILES)
+            hint = "motion needs none of them"
+            element = next(iter(files.values()))
+            diagnostics.add(code, element, message, hint, severity=Severity.NOTE)
 
 
 def _file_attributes(root: XmlElement) -> Iterator[tuple[XmlElement, str]]:

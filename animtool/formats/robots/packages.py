@@ -6,7 +6,7 @@ import re
 from itertools import islice
 from pathlib import Path
 
-from animtool.core.config import project_roots
+from animtool.core.config import outside_hint, project_roots
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import exists
 from animtool.core.names import MAX_SEARCHED_NAMES
@@ -23,6 +23,16 @@ _LEADING_DOTS = re.compile(r"^(?:\.\.?/)+")
 
 class OutsideError(ValueError):
     """Raised for a file outside the project, which was not opened."""
+
+    def __init__(self, message: str, path: Path | None = None) -> None:
+        super().__init__(message)
+        self.path = path  # of the file; None if the name leads to none
+
+    def hint(self, robot_path: Path) -> str:
+        """Return how to let a robot's file refer to the file."""
+        if self.path is None:
+            return "copy it into the project, and write its path there"
+        return outside_hint(robot_path, str(self.path))
 
 
 @dataclass(frozen=True, slots=True)
@@ -153,7 +163,7 @@ class PackageFolders:
             raise OutsideError(f"{name!r} leads nowhere: {error}") from error
         if not any(real_path.is_relative_to(root) for root in self.roots):
             roots = ", ".join(dict.fromkeys(map(str, self.roots)))
-            raise OutsideError(f"it leads out of {roots}")
+            raise OutsideError(f"it leads out of {roots}", real_path)
         return real_path if exists(real_path) else None
 
 

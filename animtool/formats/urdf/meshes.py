@@ -58,11 +58,8 @@ def find_mesh_files(
         except OutsideError as error:
             outside_files.add((link.name, name))
             message = f"its mesh {excerpt(name, 100)} is refused: {error}"
-            hint = "copy it into the project, or name its folder in animtool.toml: "
-            hint += "roots = [...]"
             suggestion = folders.suggest(name)
-            if suggestion is not None:
-                hint = f"write {suggestion}"
+            hint = error.hint(path) if suggestion is None else f"write {suggestion}"
             location = element_label("link", link.name)
             diagnostics.add("URD016", mesh, message, hint, location=location)
             continue

@@ -135,8 +135,6 @@ def test_ties_of_ties_are_of_the_joint_that_moves(tmp_path: Path) -> None:
         ("<worldbody>", '<include file="none.xml"/><worldbody>', "MJC006", "none.xml"),
         ("<worldbody>", '<include file="../x.xml"/><worldbody>', "MJC006", "leads out"),
         ("<worldbody>", '<include file="arm.xml"/><worldbody>', "MJC006", "itself"),
-        ("<worldbody>", '<asset><mesh file="../x.obj"/></asset><worldbody>', "MJC016",
-         "x.obj"),
         ("</mujoco>", '<equality><joint joint1="c" joint2="one"/><joint joint1="one" '
          'joint2="c"/></equality></mujoco>', "MJC010", "ring: c → one → c"),
         ("</mujoco>", '<equality><joint joint1="c" joint2="one"/><joint joint1="c" '
@@ -148,8 +146,7 @@ def test_what_is_broken_is_refused(
 ) -> None:
     folder = tmp_path / "inside"
     folder.mkdir()
-    for name in ("x.xml", "x.obj"):
-        (tmp_path / name).write_text("<mujocoinclude/>")
+    (tmp_path / "x.xml").write_text("<mujocoinclude/>")
     assert old in MODEL
     path = write(folder, MODEL.replace(old, new, 1), "arm.xml")
     with raises(FormatError, code, match=words):
@@ -180,6 +177,35 @@ def test_geoms_of_meshes_are_left_out_with_their_masses(tmp_path: Path) -> None:
     assert len(rig.masses) == 3
     codes = [notice.code for notice in rig.notices]
     assert {"MJC101", "MJC103", "MJC107"} <= set(codes)
+
+
+def test_assets_outside_the_project_are_noted_and_never_opened(tmp_path: Path) -> None:
+    folder = tmp_path / "inside"
+    folder.mkdir()
+    (tmp_path / "x.obj").write_text("no mesh")
+    assets = '<asset><mesh file="../x.obj"/><texture type="2d" file="/y.png"/></asset>'
+    text = MODEL.replace("<worldbody>", f"{assets}<worldbody>")
+    rig = read_mjcf_rig(write(folder, text, "arm.xml"))
+    without_assets = read_mjcf_rig(write(folder, MODEL, "plain.xml"))
+    assert rig.names == without_assets.names
+    (notice,) = [notice for notice in rig.notices if notice.code == "MJC016"]
+    assert "2 files" in notice.message
+
+
+def test_an_include_outside_the_project_names_the_folder_that_allows_it(
+    tmp_path: Path,
+) -> None:
+    for name in ("inside", "parts"):
+        (tmp_path / name).mkdir()
+    (tmp_path / "parts/x.xml").write_text("<mujocoinclude/>")
+    text = MODEL.replace("<worldbody>", '<include file="../parts/x.xml"/><worldbody>')
+    path = write(tmp_path / "inside", text, "arm.xml")
+    with raises(FormatError, "MJC006") as caught:
+        read_mjcf_rig(path)
+    (fault,) = caught.value.faults
+    assert str(tmp_path) in (fault.hint or "")
+    (tmp_path / "animtool.toml").write_text("")
+    assert read_mjcf_rig(path).names == read_mjcf_rig(write(tmp_path, MODEL)).names
 
 
 def test_without_mujoco_it_says_what_to_install(
