@@ -233,7 +233,7 @@ def _version_control_root(folder: Path) -> Path | None:
     files come from anywhere.
     """
     for folder_above in (folder, *folder.parents):
-        if not _may_be_project(folder_above):
+        if not may_be_project(folder_above):
             return None
         if any((folder_above / name).exists() for name in VERSION_CONTROL_FOLDERS):
             return folder_above
@@ -277,11 +277,12 @@ def _innermost_project(folder: Path, target: Path) -> Path | None:
     """Return the innermost project that contains both paths; None if there is none."""
     for folder_above in (folder, *folder.parents):
         if target.is_relative_to(folder_above):
-            return folder_above if _may_be_project(folder_above) else None
+            return folder_above if may_be_project(folder_above) else None
     return None
 
 
-def _may_be_project(folder: Path) -> bool:
+def may_be_project(folder: Path) -> bool:
+    """Return whether a folder is neither a home folder nor that of a file system."""
     return folder not in {Path(folder.anchor), _home_folder()}
 
 

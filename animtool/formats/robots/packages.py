@@ -6,7 +6,7 @@ import re
 from itertools import islice
 from pathlib import Path
 
-from animtool.core.config import outside_hint, project_roots
+from animtool.core.config import may_be_project, outside_hint, project_roots
 from animtool.core.errors import AnimtoolError
 from animtool.core.files.reading import exists
 from animtool.core.names import MAX_SEARCHED_NAMES
@@ -18,6 +18,8 @@ _PACKAGE_SCHEMES = {"package", "model"}
 # Maximum number of parent folders that are searched for a file's package.
 MAX_PARENT_FOLDERS = 12
 PACKAGE_FILE = "package.xml"
+# Folders of a package that contain its robots, beside those of its meshes.
+ROBOT_FOLDER_NAMES = {"mjcf", "robot", "robots", "urdf", "xacro", "xml"}
 _LEADING_DOTS = re.compile(r"^(?:\.\.?/)+")
 
 
@@ -48,7 +50,8 @@ class PackageFolders:
         """Return the folders in which a file's references may lie.
 
         The package that contains a file is part of its project: the parent folder with
-        that name, or with it in ``package.xml``.
+        that name, or with it in ``package.xml``, or else the folder that contains
+        ``urdf/`` or another folder of robots.
         """
         folder = path.resolve().parent
         packages: dict[str, Path] = {}
@@ -59,7 +62,10 @@ class PackageFolders:
             if name:
                 packages.setdefault(name, parent)
                 break
-        roots = (*project_roots(path), *packages.values())
+        roots = [*project_roots(path), *packages.values()]
+        is_in_layout = folder.name.lower() in ROBOT_FOLDER_NAMES
+        if is_in_layout and not packages and may_be_project(folder.parent):
+            roots.append(folder.parent)
         return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
 
     def find(self, name: str) -> Path | None:

@@ -189,6 +189,22 @@ def test_a_mesh_outside_is_refused_and_not_looked_at(tmp_path: Path, name: str) 
         read_urdf_rig(write(inside, with_mesh(name)))
 
 
+@pytest.mark.parametrize("folder", ["urdf", "URDF", "robots", "parts"])
+def test_meshes_beside_a_folder_of_robots_are_read(tmp_path: Path, folder: str) -> None:
+    for name in ("arm/meshes", f"arm/{folder}"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "arm/meshes/a.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    (tmp_path / "secret.obj").write_text("v 0 0 0\n")
+    path = write(tmp_path / "arm" / folder, with_mesh("../meshes/a.obj"))
+    if folder == "parts":
+        with raises(FormatError, "URD016"):
+            read_urdf_rig(path)
+        return
+    assert len(read_urdf_rig(path).meshes) == 1
+    with raises(FormatError, "URD016"):
+        read_urdf_rig(write(tmp_path / "arm" / folder, with_mesh("../../secret.obj")))
+
+
 def test_meshes_of_the_package_are_found(tmp_path: Path) -> None:
     folder = tmp_path / "other_name/urdf"
     folder.mkdir(parents=True)
@@ -196,7 +212,7 @@ def test_meshes_of_the_package_are_found(tmp_path: Path) -> None:
     assert "URD103" in codes(path)
     (tmp_path / "other_name/meshes").mkdir()
     (tmp_path / "other_name/meshes/a.obj").write_text("v 0 0 0\n")
-    assert "URD103" in codes(path)
+    assert "URD113" in codes(path)
     write(tmp_path / "other_name", "<package><name>my_robot</name></package>",
           "package.xml")  # fmt: skip
     assert "URD103" not in codes(path)
