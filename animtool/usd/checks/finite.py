@@ -95,6 +95,9 @@ def check_uniform(subject: StageSubject) -> Iterator[Fault]:
 COVERED_CODES = frozenset(
     {"USD202", "USD225", "USD233", "USD235", "USD243", "USD265", "USD271", "USD272"}
 )
+# Attributes of physics engines, whose schemas are not registered: infinity is their
+# default or no limit there (PhysX contactOffset, Newton limitStiffness).
+ENGINE_ATTRIBUTES = ("physx.*:.+", "newton:.+")
 # Maximum findings per prim, and per layer metadata.
 MAX_FINDINGS = 5
 # Metadata that other rules check in the root layer, and rates in all layers.
@@ -255,10 +258,12 @@ def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> 
 @cache
 def _infinite_fallback_patterns() -> tuple[re.Pattern[str], ...]:
     """Return name patterns of attributes with an infinite schema fallback."""
-    registry, names = Usd.SchemaRegistry(), set()
-    for schema in Tf.Type.Find(Usd.APISchemaBase).GetAllDerivedTypes():
+    registry, names = Usd.SchemaRegistry(), {*ENGINE_ATTRIBUTES}
+    for schema in Tf.Type.Find(Usd.SchemaBase).GetAllDerivedTypes():
         name = Usd.SchemaRegistry.GetSchemaTypeName(schema)
         definition = registry.FindAppliedAPIPrimDefinition(name)
+        if definition is None:
+            definition = registry.FindConcretePrimDefinition(name)
         if definition is None:
             continue
         for attribute in definition.GetPropertyNames():

@@ -21,6 +21,7 @@ from animtool.usd.layers.faults import (
     matrix_array,
     token_array,
 )
+from animtool.usd.layers.finite import float_array
 from animtool.usd.rigs.rest_pose import (
     collapsed_bone_faults,
     rest_faults,
@@ -56,14 +57,15 @@ def _check_bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
 def _check_frames(joint: Any) -> Iterator[Fault]:
     for attr in (joint.GetLocalRot0Attr(), joint.GetLocalRot1Attr()):
         value = attr.Get()
-        if value is None:
+        if not hasattr(value, "imaginary"):  # another type is USD280
             continue
         length = math.hypot(*value.imaginary, value.real)
         if not abs(length - 1.0) <= UNIT_TOLERANCE:
             yield finding("USD272", attr.GetPath(), f"its length is {length:.6g}")
     for attr in (joint.GetLocalPos0Attr(), joint.GetLocalPos1Attr()):
         value = attr.Get()
-        if value is not None and not np.isfinite(value).all():
+        numbers = None if value is None else float_array(value)
+        if numbers is not None and not np.isfinite(numbers).all():
             yield finding("USD272", attr.GetPath(), "the position is not finite")
 
 
@@ -92,10 +94,17 @@ def _check_limits(prim: Any) -> Iterator[Fault]:
 
 
 def _check_numbers(prim: Any, name: str) -> Iterator[Fault]:
+    value = _number(prim, name)
+    if value is not None and math.isnan(value):
+        path = prim.GetAttribute(name).GetPath()
+        yield finding("USD271", path, "it is not a number")
+
+
+def _number(prim: Any, name: str) -> float | None:
+    """Return the number of an attribute; None if absent or of another type."""
     attr = prim.GetAttribute(name)
     value = attr.Get() if attr else None
-    if value is not None and math.isnan(value):
-        yield finding("USD271", attr.GetPath(), "it is not a number")
+    return value if isinstance(value, (int, float)) else None
 
 
 def _check_pair(
@@ -108,10 +117,8 @@ def _check_pair(
 ) -> Iterator[Fault]:
     yield from _check_numbers(prim, lower_limit_name)
     yield from _check_numbers(prim, upper_limit_name)
-    attributes = [
-        prim.GetAttribute(name) for name in (lower_limit_name, upper_limit_name)
-    ]
-    lower_value, upper_value = (attr.Get() if attr else None for attr in attributes)
+    lower_value = _number(prim, lower_limit_name)
+    upper_value = _number(prim, upper_limit_name)
     if (
         lower_value is None
         or upper_value is None
@@ -122,7 +129,8 @@ def _check_pair(
     if lower_value > upper_value:
         lower_label = lower_limit_name.rpartition(":")[2]
         message = f"{lower_label} {lower_value:g} is above {upper_value:g}"
-        yield finding("USD271", attributes[0].GetPath(), message)
+        path = prim.GetAttribute(lower_limit_name).GetPath()
+        yield finding("USD271", path, message)
 
 
 # Tolerance of transforms, relative to their largest number.

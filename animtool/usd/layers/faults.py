@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import numpy as np
-from pxr import UsdGeom
+from pxr import UsdGeom, Vt
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, FormatError, Severity, counted, excerpt, listed
@@ -26,6 +26,8 @@ UNIT_TOLERANCE = 1e-3
 MIN_VOLUME = 1e-12
 # Valid range of rates and units; others would overflow what they scale.
 MIN_RATE_OR_UNIT, MAX_RATE_OR_UNIT = 1e-9, 1e9
+# Some exporters write names as strings.
+_NAME_ARRAYS = (Vt.TokenArray, Vt.StringArray)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,8 +68,9 @@ class PrimLocation:
 
 
 def token_array(attr: Any) -> list[str]:
-    """Return the tokens of an attribute; empty if it has no value."""
-    return [str(token) for token in (attr.Get() if attr else None) or ()]
+    """Return the tokens of an attribute; empty without a value or of another type."""
+    value = attr.Get() if attr else None
+    return list(map(str, value)) if isinstance(value, _NAME_ARRAYS) else []
 
 
 def duplicate_tokens(names: Sequence[str]) -> list[str]:

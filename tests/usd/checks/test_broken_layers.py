@@ -165,3 +165,24 @@ def test_a_text_file_of_ours_is_named(tmp_path: Path) -> None:
         assert fault.code == "USD001"
         assert fault.message == "is an animtool file (YAML or JSON), not a USD file"
         assert str(fault.hint).startswith(hint)
+
+
+@pytest.mark.parametrize(
+    ("attribute", "value", "is_allowed"),
+    [
+        ("float3 physics:lowerLimit", "(-inf, -inf, -inf)", True),
+        ("float physxCollision:contactOffset", "-inf", True),
+        ("float newton:limitStiffness", "inf", True),
+        ("float newton:limitStiffness", "nan", False),
+        ("float primvars:physxMass", "inf", False),
+    ],
+)
+def test_infinite_limits_of_physics_are_allowed(
+    tmp_path: Path, attribute: str, value: str, is_allowed: bool
+) -> None:
+    """Schemas and engines use them for no limit, also where none is applied."""
+    path = tmp_path / "joint.usda"
+    joint = f'def PhysicsSphericalJoint "Ball"\n{{\n    {attribute} = {value}\n}}\n'
+    path.write_text(f"#usda 1.0\n{joint}", "utf-8")
+    found = {fault.code for fault in check_layer(path)}
+    assert ("USD171" not in found) is is_allowed
