@@ -269,8 +269,10 @@ def _deform_normals(
     has_normal_offsets = shapes is not None and shapes.normals is not None
     if has_normal_offsets and weights is not None and weights.any():
         assert shapes is not None
-        unskinned = None if buffers is None else buffers.unskinned_values[:frame_count]
-        normals = blend_normals(shapes, weights, out=unskinned)
+        unskinned_normals = (
+            None if buffers is None else buffers.unskinned_values[:frame_count]
+        )
+        normals = blend_normals(shapes, weights, out=unskinned_normals)
     if mesh.skin is not None and world is not None:
         out = None if buffers is None else buffers.normals[:frame_count]
         return skin_normals(mesh.skin, normals, world, out=out)

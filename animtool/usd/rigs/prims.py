@@ -214,13 +214,13 @@ def skeleton_rig(skeleton: Any, path: Path, *, is_animated: bool = True) -> Skel
         skeleton.GetBindTransformsAttr(),
     )
     authored_attrs = [attr for attr in transform_attrs if attr.HasAuthoredValue()]
-    meters, up = _authored_units((authored_attrs or transform_attrs)[0], stage)
+    meters_per_unit, up = _authored_units((authored_attrs or transform_attrs)[0], stage)
     rig = rig_from_tokens(
         tokens,
         rest,
         name,
         location,
-        meters,
+        meters_per_unit,
         up,
         custom_data,
         [str(name) for name in joint_names],
@@ -338,14 +338,14 @@ def _authored_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
     A shot in metres may reference a rig in centimetres; the numbers of the rig and its
     animations stay in centimetres.
     """
-    meters, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
+    meters_per_unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     stack = attr.GetPropertyStack(Usd.TimeCode.Default())
     root = stack[0].layer.pseudoRoot if stack else None
     if root is not None and root.HasInfo("metersPerUnit"):
-        meters = float(root.GetInfo("metersPerUnit"))
+        meters_per_unit = float(root.GetInfo("metersPerUnit"))
     if root is not None and root.HasInfo("upAxis"):
         up = UpAxis(str(root.GetInfo("upAxis")))
-    return meters, up
+    return meters_per_unit, up
 
 
 def up_axis(stage: Any) -> UpAxis:

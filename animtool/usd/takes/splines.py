@@ -223,9 +223,9 @@ def _is_vertical(handle: FloatArray) -> bool:
         return bool(handle[1] != 0.0 and not np.isfinite(handle[1] / handle[0]))
 
 
-def _find_parameter(times: FloatArray, time: float) -> float:
+def _find_parameter(control_times: FloatArray, time: float) -> float:
     """Return the parameter of a monotonic Bézier curve at a time, by bisection."""
-    _, t1, t2, t3 = times.tolist()
+    _, t1, t2, t3 = control_times.tolist()
     lower, upper = 0.0, 1.0
     while lower < (u := (lower + upper) / 2) < upper:
         v = 1.0 - u
