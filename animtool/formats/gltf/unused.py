@@ -40,19 +40,21 @@ def find_unused_indices(json_root: dict[str, Any]) -> UnusedIndices:
                 if is_number(index):
                     is_read = is_supported_attribute(str(name))
                     (used_accessors if is_read else unread_accessors).add(int(index))
-    accessors = frozenset(unread_accessors - used_accessors)
+    unused_accessors = frozenset(unread_accessors - used_accessors)
     images = _objects(json_root.get("images"))
     unused_views = {_valid_index(i["bufferView"]) for i in images if "bufferView" in i}
     used_views = set[int]()
     for i, accessor in enumerate(_objects(json_root.get("accessors"))):
-        view_set = unused_views if i in accessors else used_views
+        view_set = unused_views if i in unused_accessors else used_views
         view_set.update(_accessor_views(accessor))
     views = frozenset(unused_views - used_views)
     used_buffers, unused_buffers = {-1}, set[int]()
     for i, view in enumerate(_objects(json_root.get("bufferViews"))):
         buffer = _valid_index(view.get("buffer"))
         (unused_buffers if i in views else used_buffers).add(buffer)
-    return UnusedIndices(accessors, views, frozenset(unused_buffers - used_buffers))
+    return UnusedIndices(
+        unused_accessors, views, frozenset(unused_buffers - used_buffers)
+    )
 
 
 def is_supported_attribute(attribute: str) -> bool:

@@ -96,7 +96,7 @@ def build_rig(robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes) -> R
             masses.append(build_mass(joint_name, link.mass, link_offset))
     if largest_error:
         _note_approximate_colliders(robot, diagnostics, codes, largest_error)
-    meshes = _link_meshes(robot, joint_names, joints)
+    meshes = _build_link_meshes(robot, joint_names, joints)
     _warn_of_size(diagnostics, joints)
     if diagnostics.ignored_labels:
         message = f"not read: {listed(list(diagnostics.ignored_labels), 20)}"
@@ -128,7 +128,7 @@ def _warn_of_size(diagnostics: XmlDiagnostics, joints: list[Joint]) -> None:
     diagnostics.add("RIG217", None, message, hint, severity=Severity.WARNING)
 
 
-def _link_meshes(
+def _build_link_meshes(
     robot: Robot, names: _JointNames, joints: list[Joint]
 ) -> tuple[Mesh, ...]:
     """Return one rigid mesh per visible link."""
@@ -140,9 +140,12 @@ def _link_meshes(
     for link, name in zip(robot.links, names.links, strict=True):
         if not link.surfaces:
             continue
-        surface, j = merge_surfaces(link.surfaces), rest_rig.index(name)
+        surface, joint_index = merge_surfaces(link.surfaces), rest_rig.index(name)
         bind = np.eye(4)
-        bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
+        bind[:3, :3], bind[:3, 3] = (
+            world.linear[0, joint_index],
+            world.positions[0, joint_index],
+        )
         point_count = len(surface.points)
         skin = Skin(
             "linear",
