@@ -147,11 +147,11 @@ def _match_markers(
     tolerance: float,
 ) -> list[tuple[int, ...]]:
     """Return all marker tuples whose rest distances match those of a group of runs."""
-    first, second = np.nonzero(
+    first_markers, second_markers = np.nonzero(
         np.abs(rest_distances - distances[group[1], group[0]]) < tolerance
     )
-    partial_matches = np.stack([first, second], axis=1)
-    partial_matches = partial_matches[first != second]
+    partial_matches = np.stack([first_markers, second_markers], axis=1)
+    partial_matches = partial_matches[first_markers != second_markers]
     for k in range(2, len(group)):
         group_distances = distances[group[k], group[:k]]
         deviation = np.abs(

@@ -136,30 +136,39 @@ class PointNaming:
 
     def _clearest_pair(self, score: FloatArray) -> Any:
         """Return the clearest rigid pair: evidence margin [nat], points and names."""
-        first, second = self.rigid_pairs
-        is_free = (self.point_markers[first] < 0) & (self.point_markers[second] < 0)
-        first, second = first[is_free], second[is_free]
-        if not len(first):
+        first_points, second_points = self.rigid_pairs
+        is_free = (self.point_markers[first_points] < 0) & (
+            self.point_markers[second_points] < 0
+        )
+        first_points, second_points = first_points[is_free], second_points[is_free]
+        if not len(first_points):
             return None
-        pair_scores = score[first][:, :, None] + score[second][:, None, :]
-        pair_scores = pair_scores + self.pair_scores[first, second]
-        pair_scores = pair_scores.reshape(len(first), -1)
-        rows = np.arange(len(first))
+        pair_scores = score[first_points][:, :, None] + score[second_points][:, None, :]
+        pair_scores = pair_scores + self.pair_scores[first_points, second_points]
+        pair_scores = pair_scores.reshape(len(first_points), -1)
+        rows = np.arange(len(first_points))
         best_pair = pair_scores.argmax(axis=1)
         best_score = pair_scores[rows, best_pair].copy()
         pair_scores[rows, best_pair] = -np.inf
         rival_score = np.maximum(pair_scores.max(axis=1), 0.0)
-        margin = np.full(len(first), -1.0)
+        margin = np.full(len(first_points), -1.0)
         is_eligible = np.isfinite(best_score)
         is_eligible[is_eligible] = (
             best_score
             > MIN_NAME_EVIDENCE
-            * (self.visible_fraction[first] + self.visible_fraction[second])
+            * (
+                self.visible_fraction[first_points]
+                + self.visible_fraction[second_points]
+            )
         )[is_eligible]
         margin[is_eligible] = 0.5 * (best_score - rival_score)[is_eligible]
         row = int(margin.argmax())
-        i, j = divmod(int(best_pair[row]), score.shape[1])
-        return float(margin[row]), (int(first[row]), i), (int(second[row]), j)
+        first_marker, second_marker = divmod(int(best_pair[row]), score.shape[1])
+        return (
+            float(margin[row]),
+            (int(first_points[row]), first_marker),
+            (int(second_points[row]), second_marker),
+        )
 
     def improve(self, best_total: float = -np.inf) -> None:
         """Rename points and swap markers as long as the likelihood increases.
@@ -210,18 +219,24 @@ class PointNaming:
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
         points = np.flatnonzero(self.point_markers >= 0)
-        named_markers, first = np.unique(self.point_markers[points], return_index=True)
+        named_markers, first_rows = np.unique(
+            self.point_markers[points], return_index=True
+        )
         marker_count = self.scores.shape[1]
-        rows = self.pair_scores[points[first]]
-        later_points = np.setdiff1d(np.arange(len(points)), first)
+        marker_scores = self.pair_scores[points[first_rows]]
+        later_points = np.setdiff1d(np.arange(len(points)), first_rows)
         for point in points[later_points].tolist():
-            rows[np.searchsorted(named_markers, self.point_markers[point])] += (
-                self.pair_scores[point]
-            )
+            marker_scores[
+                np.searchsorted(named_markers, self.point_markers[point])
+            ] += self.pair_scores[point]
         pair_scores: FloatArray = np.zeros((marker_count,) * 4, self.pair_scores.dtype)
-        pair_scores[np.ix_(named_markers, named_markers)] = rows[:, points[first]]
+        pair_scores[np.ix_(named_markers, named_markers)] = marker_scores[
+            :, points[first_rows]
+        ]
         for point in points[later_points].tolist():
-            pair_scores[named_markers, self.point_markers[point]] += rows[:, point]
+            pair_scores[named_markers, self.point_markers[point]] += marker_scores[
+                :, point
+            ]
         pair_scores[np.arange(marker_count), np.arange(marker_count)] = 0.0
         new_markers = np.arange(marker_count)
         for _ in range(MAX_SWAPS):
@@ -368,8 +383,8 @@ def compute_pair_evidence(
     """
     point_count, marker_count = len(overlap), len(rest_distances)
     # Single precision: the table is large, and evidence is not more precise.
-    shape = (point_count, point_count, marker_count, marker_count)
-    pair_scores: Any = np.zeros(shape, np.float32)
+    table_shape = (point_count, point_count, marker_count, marker_count)
+    pair_scores: Any = np.zeros(table_shape, np.float32)
     for point in range(point_count - 1):
         later_points = slice(point + 1, point_count)
         evidence = rest_evidence(
@@ -410,9 +425,9 @@ def compute_swap_gains(
 def find_swaps(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
     """Return name swaps to try: markers ``(N, K)``, and their new names."""
     is_near = rest_distances < SWAP_DISTANCE
-    first, second = np.triu_indices(len(rest_distances), 1)
-    marker_pairs = np.stack([first, second], axis=1)
-    close_pairs = marker_pairs[is_near[first, second]]
+    first_markers, second_markers = np.triu_indices(len(rest_distances), 1)
+    marker_pairs = np.stack([first_markers, second_markers], axis=1)
+    close_pairs = marker_pairs[is_near[first_markers, second_markers]]
     first_pair, second_pair = np.triu_indices(len(close_pairs), 1)
     double_pairs = np.concatenate(
         [close_pairs[first_pair], close_pairs[second_pair]], axis=1
