@@ -112,7 +112,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the most decimals of a column; 15 if a cell has an exponent."""
+        """Return the largest number of decimals in a column; 15 with an exponent."""
         max_decimals = 0
         for text in self.texts:
             prefix = text[: MAX_CELL_BYTES * (column + 1)]

@@ -141,7 +141,7 @@ def _deform_into(
 
 @dataclass(frozen=True, slots=True)
 class _DeformBuffers:
-    """Buffers reused from block to block."""
+    """Arrays that are reused for every block of frames."""
 
     unskinned_values: FloatArray  # points or normals before skinning ``(F, V, 3)``
     points: FloatArray  # ``(F, V, 3)``

@@ -139,7 +139,7 @@ def _check_array_shapes(
     weights: FloatArray,
     vertex_count: int | None,
 ) -> None:
-    """Raise if joint indices are not integers, or the weights' array shape differs."""
+    """Raise unless joint indices are integers with the array shape of the weights."""
     if joint_indices.ndim != 2 or joint_indices.shape != weights.shape:
         message = (
             f"joint indices {joint_indices.shape} and weights {weights.shape} must "

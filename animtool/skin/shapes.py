@@ -192,7 +192,7 @@ def _blend_columns(
 def _add_dense_columns(
     columns: _Columns, weights: FloatArray, is_active: BoolArray, out: FloatArray
 ) -> None:
-    """Fill in rest values plus dense columns times their weights ``(F, 3·V)``."""
+    """Write rest values plus weighted dense columns into ``out`` ``(F, 3·V)``."""
     dense_weights, is_used = weights[:, columns.is_dense], is_active[columns.is_dense]
     dense_table = columns.dense_table
     inactive_count = len(is_used) - int(is_used.sum())
@@ -221,7 +221,7 @@ def _active_offsets(
 
 
 def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the hat functions of all knots but 0 at the weights ``(F, knots - 1)``."""
+    """Return the value of each knot's hat function, except 0's ``(F, knots - 1)``."""
     last_segment = len(knots) - 2
     segments = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last_segment)
     fraction = (weights - knots[segments]) / (knots[segments + 1] - knots[segments])

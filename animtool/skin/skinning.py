@@ -209,7 +209,7 @@ def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
 def _skinning_matrices(
     skin: PreparedSkin, joint_from_source: FloatArray, world: WorldTransforms
 ) -> FloatArray:
-    """Return world transforms of joints times matrices ``(U, 3, 4)``, per frame."""
+    """Return each joint's world transform times its matrix ``(F, U, 3, 4)``."""
     linear, origins = world.linear[:, skin.joints], world.positions[:, skin.joints]
     _check_finite(skin, linear, origins)
     transforms: FloatArray = np.matmul(linear, joint_from_source)

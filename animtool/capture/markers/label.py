@@ -353,7 +353,7 @@ def _name_first_runs(
 def _find_first_span(
     tracklets: Tracklets, frame_count: int, rate: float
 ) -> tuple[slice, IntArray]:
-    """Return the span of frames best covered by long runs, and the indices of these."""
+    """Return the frames that long runs cover best, and the indices of those runs."""
     first, last = tracklets.first, tracklets.last
     span_length = min(frame_count, max(MIN_RUN_FRAMES, int(FIRST_SPAN_SECONDS * rate)))
     best_start, best_score = 0, -1

@@ -34,7 +34,7 @@ MAX_SWAPS = 40
 
 
 class PointNaming:
-    """An assignment of markers to points, and the evidence for every other one.
+    """An assignment of markers to points, and the evidence for each possible name.
 
     Attributes:
         point_markers: Marker of each point ``(R,)``; -1 for none.
@@ -315,28 +315,30 @@ class PointNaming:
 
 
 def search_names(
-    best: PointNaming, rest_distances: FloatArray, seeds: Sequence[dict[int, int]]
+    best_naming: PointNaming,
+    rest_distances: FloatArray,
+    seeds: Sequence[dict[int, int]],
 ) -> PointNaming:
     """Search for names with more evidence by removing and reassigning names.
 
     A conflicting name is removed first; if that is not enough, all names around the two
     markers.
     """
-    best = _retry_doubtful(best, rest_distances)
-    best_total = best.total_evidence()
+    best_naming = _retry_doubtful(best_naming, rest_distances)
+    best_total = best_naming.total_evidence()
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTART_COUNT):
-        scarce_markers = best.scarce_markers()
+        scarce_markers = best_naming.scarce_markers()
         if not len(scarce_markers):
             break
         centre_marker = int(rng.choice(scarce_markers))
         is_near = rest_distances[centre_marker] < rng.uniform(*RESTART_RADIUS)
         if len(scarce_markers) < len(rest_distances) and rng.random() < 0.5:
             is_near |= (rest_distances[scarce_markers] < DOUBT_RADIUS).any(axis=0)
-        bias_scale = rng.uniform(*RANDOM_BIAS) * best.visible_fraction[:, None]
-        bias = rng.normal(0.0, 1.0, best.scores.shape) * bias_scale
-        candidate = best.copy()
+        bias_scale = rng.uniform(*RANDOM_BIAS) * best_naming.visible_fraction[:, None]
+        bias = rng.normal(0.0, 1.0, best_naming.scores.shape) * bias_scale
+        candidate = best_naming.copy()
         # Sometimes restart from scratch with another group.
         has_seed = rng.random() < SCRATCH_PROBABILITY
         seed = seeds[int(rng.integers(len(seeds)))] if has_seed else {}
@@ -344,34 +346,36 @@ def search_names(
         candidate.improve(-np.inf if seed else best_total)
         candidate_total = candidate.total_evidence()
         if candidate_total > best_total + MIN_EVIDENCE_GAIN:
-            best = _retry_doubtful(candidate, rest_distances)
-            best_total = best.total_evidence()
-    return best
+            best_naming = _retry_doubtful(candidate, rest_distances)
+            best_total = best_naming.total_evidence()
+    return best_naming
 
 
-def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNaming:
+def _retry_doubtful(
+    best_naming: PointNaming, rest_distances: FloatArray
+) -> PointNaming:
     """Rename the most doubtful points and those around them while evidence grows."""
-    best.improve()
-    best_total = best.total_evidence()
+    best_naming.improve()
+    best_total = best_naming.total_evidence()
     tried_moves: set[tuple[int, int]] = set()
     for _ in range(MAX_RENAME_TRIALS):
-        move = best.most_doubtful_point(tried_moves)
+        move = best_naming.most_doubtful_point(tried_moves)
         if move is None:
             break
         tried_moves.add(move)
         point, marker = move
         is_nearby = rest_distances[marker] < DOUBT_RADIUS
-        if best.point_markers[point] >= 0:
-            is_nearby |= rest_distances[best.point_markers[point]] < DOUBT_RADIUS
+        if best_naming.point_markers[point] >= 0:
+            is_nearby |= rest_distances[best_naming.point_markers[point]] < DOUBT_RADIUS
         for is_reassigned in (np.zeros(len(rest_distances), bool), is_nearby):
-            candidate = best.copy()
+            candidate = best_naming.copy()
             candidate.force_name(point, marker, is_reassigned)
             candidate.improve(best_total)
             candidate_total = candidate.total_evidence()
             if candidate_total > best_total + MIN_EVIDENCE_GAIN:
-                best, best_total = candidate, candidate_total
+                best_naming, best_total = candidate, candidate_total
                 break
-    return best
+    return best_naming
 
 
 def compute_pair_evidence(

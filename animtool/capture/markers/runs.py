@@ -145,7 +145,7 @@ class TrackletLabels:
         return begin, end, self.tracklets.trajectory(self.positions, run)
 
     def _marker_costs(self, run: int) -> FloatArray:
-        """Return each marker's cost for a run ``(M,)``; infinite if it has a point."""
+        """Return each marker's cost for a run ``(M,)``, infinite if it is visible."""
         begin, end, path = self._run_positions(run)
         costs = self._shape_costs(path, begin, end) + self._gap_costs(path, begin, end)
         costs[np.isfinite(self.marker_positions[begin:end, :, 0]).any(axis=0)] = np.inf
@@ -197,7 +197,7 @@ class TrackletLabels:
 def _merge_known_distances(
     rest_distances: FloatArray, take_distances: MarkerDistances
 ) -> MarkerDistances:
-    """Fill in distances that a take lacks with those at rest."""
+    """Return a take's distances, with those at rest where the take has none."""
     is_known = np.isfinite(take_distances.mean)
     mean = np.where(is_known, take_distances.mean, rest_distances)
     return MarkerDistances(

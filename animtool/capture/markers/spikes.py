@@ -179,7 +179,7 @@ def _is_one_sided(is_known: BoolArray, starts: IntArray, length: int) -> BoolArr
 def _local_noise(
     starts: IntArray, squared_residuals: FloatArray, frame_count: int
 ) -> FloatArray:
-    """Return each frame's local noise variance over the typical one, at least 1."""
+    """Return each frame's ratio of local to typical noise variance, at least 1."""
     next_spans = np.searchsorted(starts, np.arange(frame_count))
     window_start = np.maximum(next_spans - LOCAL_WINDOW_SPANS, 0)
     window_end = np.minimum(next_spans + LOCAL_WINDOW_SPANS, len(starts))

@@ -173,8 +173,8 @@ class _SwapPath:
 
 def _find_crossed_frames(
     positions: FloatArray,
-    a: int,
-    b: int,
+    first_marker: int,
+    second_marker: int,
     rate: float,
     typical_distances: MarkerDistances,
 ) -> tuple[float, BoolArray]:
@@ -186,7 +186,7 @@ def _find_crossed_frames(
     best one is kept from frame to frame, with the last visible positions of both
     markers.
     """
-    pair_positions = positions[:, [a, b]]
+    pair_positions = positions[:, [first_marker, second_marker]]
     is_pair_visible = np.isfinite(pair_positions[..., 0])
     acceleration = _typical_acceleration(pair_positions, rate)
     predictions, tolerance, is_known = _expected_positions(
@@ -205,7 +205,9 @@ def _find_crossed_frames(
     paths = [initial_path, _SwapPath(NAME_CHANGE_COST, 1, (0,), [[], []])]
     points, is_visible = pair_positions.tolist(), is_pair_visible.tolist()
     for start, end in zip(event_frames, event_ends, strict=True):
-        shape_gain = _shape_gain(positions, a, b, start, end, typical_distances)
+        shape_gain = _shape_gain(
+            positions, first_marker, second_marker, start, end, typical_distances
+        )
         length = int(is_pair_visible[start:end].any(axis=1).sum())
         costs_by_state = (
             max(0.0, shape_gain),
@@ -293,8 +295,8 @@ def _position_cost(
 
 def _shape_gain(
     positions: FloatArray,
-    a: int,
-    b: int,
+    first_marker: int,
+    second_marker: int,
     start: int,
     end: int,
     typical_distances: MarkerDistances,
@@ -303,9 +305,12 @@ def _shape_gain(
     if end - start < MIN_SWAP_FRAMES:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SHAPE_SAMPLES).astype(np.int64))
-    others = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
+    others = np.setdiff1d(np.arange(positions.shape[1]), (first_marker, second_marker))
     gains = []
-    for marker, partner in ((a, b), (b, a)):
+    for marker, partner in (
+        (first_marker, second_marker),
+        (second_marker, first_marker),
+    ):
         offsets = positions[frames][:, others] - positions[frames, marker][:, None]
         frame_distances = np.linalg.norm(offsets, axis=-1)
         costs = []

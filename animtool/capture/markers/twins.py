@@ -144,7 +144,7 @@ def _shape_evidence(
     other_labels: IntArray,
     cache: dict[tuple[int, ...], float],
 ) -> float:
-    """Return the mean log ratio of shape errors, before over after a swap."""
+    """Return the mean log ratio of the shape errors before a swap to those after it."""
     distances = rest_distances[current_labels[changed_markers]][:, current_labels].min(
         axis=0
     )

@@ -195,7 +195,7 @@ class _CalibrationState:
         return ordered_positions
 
     def _size_ratio(self) -> float:
-        """Return the subject's size over the rig's, from the static take; else 1."""
+        """Return subject size over rig size in the static take; 1 without one."""
         if self.static_count == 0:
             return 1.0
         frames = self.positions[: self.static_count]

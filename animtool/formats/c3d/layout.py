@@ -194,9 +194,9 @@ def _combinations(
 
     ``file_size`` and ``padding``, the number of zeros at the end, are in [byte].
     """
-    number_sizes = _costed_values(fields.number_bytes, (2, 4))
+    number_sizes = _values_with_costs(fields.number_bytes, (2, 4))
     for (offset, offset_cost), (size, bytes_cost) in itertools.product(
-        _costed_values(fields.data_offset), number_sizes
+        _values_with_costs(fields.data_offset), number_sizes
     ):
         contradicts_size = bytes_cost >= MIN_DECISIVE_WEIGHT and _values_agree(
             fields.number_bytes
@@ -217,9 +217,9 @@ def _count_combinations(
     The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
     at its end.
     """
-    costed_points = _costed_values(fields.point_count)
-    costed_frames = _costed_values(fields.frame_count)
-    costed_analog = _costed_values(fields.analog_count, fields.other_analog_counts)
+    costed_points = _values_with_costs(fields.point_count)
+    costed_frames = _values_with_costs(fields.frame_count)
+    costed_analog = _values_with_costs(fields.analog_count, fields.other_analog_counts)
     stated_counts = {v.value for v in fields.analog_count}
     for (point_count, point_cost), (analog_count, analog_cost) in itertools.product(
         costed_points, costed_analog
@@ -251,10 +251,10 @@ def _count_combinations(
                 yield (point_count, analog_count, frame_count), cost, True
 
 
-def _costed_values(
+def _values_with_costs(
     values: Sequence[FieldValue], other_values: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
-    """Return candidate values, each with the cost of contradicted stated values."""
+    """Return candidate values, each with the cost of stated values it contradicts."""
     stated_values = {v.value for v in values}
     unstated_cost = UNSTATED_COUNT_COST if values else 0.0
     return [(v, _total_cost(values, v)) for v in sorted(stated_values)] + [

@@ -124,7 +124,7 @@ class Accessors:
             self.by_index.append(None if is_unused else self._read_accessor(item))
 
     def get(self, index: int) -> Accessor:
-        """Return the accessor at an index, which must be one that is read."""
+        """Return the accessor at an index, which must be that of an accessor in use."""
         accessor = self.by_index[index]
         assert accessor is not None
         return accessor

@@ -299,11 +299,13 @@ def _write_weights(
     return [Fault("GLT117", message, severity=Severity.NOTE)]
 
 
-def _static_keys(other: SamplerKeys, value: float) -> SamplerKeys:
-    """Return keys of one value at the times of other keys."""
-    values = np.full((len(other.times), 1), value)
-    slopes = None if other.in_slopes is None else np.zeros_like(values)
-    return SamplerKeys(other.times, values, other.interpolation, slopes, slopes)
+def _static_keys(timed_keys: SamplerKeys, value: float) -> SamplerKeys:
+    """Return keys with a constant value at the times of other keys."""
+    values = np.full((len(timed_keys.times), 1), value)
+    slopes = None if timed_keys.in_slopes is None else np.zeros_like(values)
+    return SamplerKeys(
+        timed_keys.times, values, timed_keys.interpolation, slopes, slopes
+    )
 
 
 def _merge_weights(weight_keys: list[SamplerKeys]) -> SamplerKeys | None:

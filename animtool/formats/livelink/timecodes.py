@@ -217,7 +217,7 @@ def _timecode_numbers(
 
 
 def _frames_of_labels(labels: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
-    """Return the labels per frame, and the frame of each row ``(R,)``, from 0."""
+    """Return how many labels a frame advances, and each row's frame from 0 ``(R,)``."""
     label_steps = np.diff(labels)
     positive_steps = label_steps[label_steps > 0]
     if not len(positive_steps):
@@ -241,7 +241,7 @@ def _frames_of_labels(labels: IntArray, fractions: FloatArray) -> tuple[int, Int
 
 
 def _is_step_multiple(exact_steps: FloatArray, step: int) -> BoolArray:
-    """Return whether each row is a multiple of a step after the previous row."""
+    """Return whether each row is a whole number of steps after the previous row."""
     step_counts = exact_steps / step
     return np.asarray(
         np.abs(step_counts - np.round(step_counts)) * step <= MAX_CLOCK_JITTER

@@ -176,7 +176,7 @@ class PackageFolders:
 
 
 def _file_key(name: str) -> str:
-    """Return a file name without case and separators, in which spellings differ."""
+    """Return a file name in lower case, without hyphens, underscores and blanks."""
     return re.sub(r"[-_ ]", "", name.casefold())
 
 

@@ -251,7 +251,7 @@ def _chunk_writers(
 
 
 class _ChunkedMesh:
-    """A mesh of a chunked cache: its report, and its first values while constant."""
+    """The report of a mesh of a chunked cache, and its values if they are constant."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)

@@ -209,7 +209,7 @@ class PointSource:
         count = len(points)
 
         def array_rows(*names: str, width: int = 0) -> Any:
-            """Return the rows of the first authored attribute, else None.
+            """Return the rows of the first of these attributes with a value, else None.
 
             ``width`` 0 reads integers.
             """

@@ -147,7 +147,7 @@ class VisiblePrim:
         return None if value is None else np.array(value, np.int64)
 
     def colors(self, code: float) -> FloatArray:
-        """Return linear colors per point, or one ``(N or 1, 3)``; empty if absent."""
+        """Return a linear color per point, or one for all ``(N or 1, 3)``, or none."""
         return _display_colors(self.prim, code)
 
     @cached_property

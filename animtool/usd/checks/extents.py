@@ -279,7 +279,7 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
 def bounds_difference(
     extents: FloatArray, bounds: FloatArray, *, must_equal: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far bounds exceed extents: beyond the tolerance and in total ``(F,)``.
+    """Return by how much bounds exceed extents, less a tolerance and in full ``(F,)``.
 
     The first is at most 0 within the tolerance. Both inputs are ``(F, 2, 3)``. With
     ``must_equal``, extents that are too large differ as well.

@@ -165,7 +165,7 @@ def inspect_layer(path: Path | str) -> Inspection:
             has_units = not any(
                 fault.code in {"USD253", "USD260"} for fault in findings
             )
-            takes = _takes(checked_stage, path) if has_units else []
+            takes = _valid_takes(checked_stage, path) if has_units else []
             if has_units and all(fault.code != "USD267" for fault in findings):
                 findings += _resized_rigs(checked_stage, path)
     except FormatError as error:
@@ -219,7 +219,7 @@ def _all_faults(checked_stage: CheckedStage) -> list[Fault]:
     ]
 
 
-def _takes(checked_stage: CheckedStage, path: Path) -> list[AnimationTake]:
+def _valid_takes(checked_stage: CheckedStage, path: Path) -> list[AnimationTake]:
     """Return a stage's animations as takes; empty if an attribute has a wrong type."""
     try:
         return animation_takes(checked_stage, path)

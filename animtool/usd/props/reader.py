@@ -320,10 +320,10 @@ class _PrimSampler:
         )
         if not self.is_animated:
             return _repeat_transforms(transforms, len(times))
-        return replace(transforms, is_clamped=self._find_clamped(codes))
+        return replace(transforms, is_clamped=self._clamped_mask(codes))
 
-    def _find_clamped(self, codes: FloatArray) -> BoolArray | None:
-        """Return which times are outside the range, where values are held; or None."""
+    def _clamped_mask(self, codes: FloatArray) -> BoolArray | None:
+        """Return which time codes are outside the range (values are held), or None."""
         first, last = map(float, _stage_span(self.stage, self.keys))
         # A frame, with its shutter interval, lasts until just before the next frame.
         frame_length = 1 - KEY_TOLERANCE

@@ -68,7 +68,7 @@ _ConvertRow: TypeAlias = Callable[[Any], Any]
 
 
 def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
-    """Return the prim paths of tracks on a stage with a character at a path."""
+    """Return the stage paths of tracks; relative ones begin at the path ``model``."""
     return [
         track.path if track.path.startswith("/") else f"{model}/{track.path}"
         for track in tracks
@@ -106,9 +106,11 @@ def check_props(
         raise OptionError(faults)
 
 
-def paths_overlap(first: str, second: str) -> bool:
+def paths_overlap(first_path: str, second_path: str) -> bool:
     """Return whether one path contains the other."""
-    return is_same_or_below(first, second) or is_same_or_below(second, first)
+    return is_same_or_below(first_path, second_path) or is_same_or_below(
+        second_path, first_path
+    )
 
 
 def author_props(

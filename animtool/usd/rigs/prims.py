@@ -182,7 +182,7 @@ def animation_source(skeleton: Any) -> Any:
 
 
 def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Decompose row-vector matrices ``(..., 4, 4)`` into T, R, S, with M = S·R·T.
+    """Split row-vector matrices ``(..., 4, 4)``, S·R·T, into T, R (quaternion) and S.
 
     A mirror becomes a negative scale on all three axes. Shear is dropped.
     """
@@ -246,7 +246,7 @@ def rig_from_tokens(
     custom_data: dict[str, Any],
     source_names: Sequence[str] = (),
 ) -> SkeletonRig:
-    """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units.
+    """Return a rig with joint paths and rest transforms ``(J, 4, 4)`` in file units.
 
     Joints are named by the last component of their paths. Their source names come from
     ``custom_data``, else from ``source_names`` (the Skeleton's ``jointNames``) if

@@ -234,11 +234,11 @@ def _find_parameter(control_times: FloatArray, time: float) -> float:
     return upper
 
 
-def _split_bezier(points: FloatArray, u: float) -> list[FloatArray]:
+def _split_bezier(points: FloatArray, parameter: float) -> list[FloatArray]:
     """Split a Bézier curve at a parameter into two (de Casteljau)."""
     levels = [points]
     while len(levels[-1]) > 1:
-        levels.append(levels[-1][:-1] + u * (levels[-1][1:] - levels[-1][:-1]))
+        levels.append(levels[-1][:-1] + parameter * (levels[-1][1:] - levels[-1][:-1]))
     return [
         np.stack([row[0] for row in levels]),
         np.stack([row[-1] for row in levels[::-1]]),
@@ -314,7 +314,7 @@ def _build_extrapolation(
 def _measure_error(
     spline: Any, curves: Curves, evaluate: EvaluateCurve
 ) -> tuple[float, float]:
-    """Return the largest difference of spline and curve, and that at a cycle's end."""
+    """Return the largest error of a spline, and its error at the end of a cycle."""
     times = curves.times
     fractions = np.arange(SAMPLES_PER_SEGMENT) / SAMPLES_PER_SEGMENT
     segment_times = times[:-1, None] + np.diff(times)[:, None] * fractions
