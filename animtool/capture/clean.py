@@ -81,7 +81,7 @@ class CleanedSignal:
         return f"{self.joint} {'rotation' if self.is_rotation else 'translation'}"
 
     def text(self, value: float) -> str:
-        """Format a value in [rad] or [m] as an angle or a length, as the signal has."""
+        """Return a value of the signal as text: an angle [rad] or a length [m]."""
         if self.is_rotation:
             return angle_text(math.degrees(value))
         return length_text(value)
@@ -102,8 +102,10 @@ class _JointCleaner:
         values = channel.values.copy()
         for i, joint in enumerate(channel.animated.tolist()):
             signal = values[:, i]
-            longest = self.options.spikes
-            is_spike = _find_spikes(signal, longest, min_size, is_rotation=is_rotation)
+            max_spike_length = self.options.spikes
+            is_spike = _find_spikes(
+                signal, max_spike_length, min_size, is_rotation=is_rotation
+            )
             if is_spike.any():
                 signal = bridge_gaps(signal, ~is_spike, is_rotation=is_rotation)
             noise = (rotation_noise if is_rotation else noise_level)(signal)
@@ -171,14 +173,16 @@ def bridge_gaps(
 
 
 def _find_spikes(
-    signal: FloatArray, longest: int, min_size: float, *, is_rotation: bool
+    signal: FloatArray, max_length: int, min_size: float, *, is_rotation: bool
 ) -> BoolArray:
     """Return a mask ``(F,)`` of the frames of a signal ``(F, K)`` in a spike."""
     is_spike = np.zeros(len(signal), np.bool_)
-    for _ in range(MAX_SPIKE_SEARCHES if longest else 0):
+    for _ in range(MAX_SPIKE_SEARCHES if max_length else 0):
         is_new_spike = np.zeros_like(is_spike)
         threshold = SPIKE_ROUGHNESS_RATIO * _roughness(signal) + min_size
-        for length, size in _run_deviations(signal, longest, is_rotation=is_rotation):
+        for length, size in _run_deviations(
+            signal, max_length, is_rotation=is_rotation
+        ):
             # A long spike also looks like a short one in its middle.
             for first in np.flatnonzero(size > threshold[2 : 2 + len(size)]).tolist():
                 span = slice(first + 2, first + 2 + length)
@@ -192,14 +196,14 @@ def _find_spikes(
 
 
 def _run_deviations(
-    signal: FloatArray, longest: int, *, is_rotation: bool
+    signal: FloatArray, max_length: int, *, is_rotation: bool
 ) -> Iterator[tuple[int, FloatArray]]:
-    """Yield each run length, and the least deviations of its runs from frame 2 on."""
-    for length in range(longest, 0, -1):
-        count = len(signal) - length - 3
-        if count < 1:
+    """Yield each run length, and the smallest deviation of every run of that length."""
+    for length in range(max_length, 0, -1):
+        run_count = len(signal) - length - 3
+        if run_count < 1:
             continue
-        windows = [signal[k : k + count] for k in range(length + 4)]
+        windows = [signal[k : k + run_count] for k in range(length + 4)]
         if is_rotation:  # sign flips after a spike are not rotation
             last = length + 2
             for k, reference in (last, 1), (last + 1, last), (2, 1), (last - 1, last):
@@ -346,15 +350,15 @@ def _displacement_warning(
     Positions are compared with those that the cut-offs for the noise alone leave, and
     must differ by more than these from the take.
     """
-    reference, _ = clean_take(take, replace(options, cutoff=None))
+    reference_take, _ = clean_take(take, replace(options, cutoff=None))
     max_distance, max_joint, max_frame, noise_distance = 0.0, 0, 0, 0.0
     frame_count = len(take)
     for frames in np.array_split(
         np.arange(frame_count), max(1, frame_count // COMPARED_FRAMES)
     ):
         positions, reference_positions, cleaned_positions = (
-            one.motion.select(frames).world(take.rig).positions
-            for one in (take, reference, cleaned_take)
+            compared_take.motion.select(frames).world(take.rig).positions
+            for compared_take in (take, reference_take, cleaned_take)
         )
         distances = np.linalg.norm(cleaned_positions - reference_positions, axis=-1)
         noise_distances = np.linalg.norm(positions - reference_positions, axis=-1)
@@ -422,7 +426,7 @@ def noise_scores(frame_count: int, signals: list[CleanedSignal]) -> PassScores:
     spike_frames = len({frame for s in signals for frame in s.spikes})
     rotation_noises = (s.noise for s in signals if s.is_rotation)
     shift_noises = (s.noise for s in signals if not s.is_rotation)
-    names = {
+    details_by_score = {
         "filtered": tuple(
             f"{s.name} at {s.cutoff:.3g} Hz, noise {s.text(s.noise)}"
             for s in filtered_signals
@@ -447,7 +451,11 @@ def noise_scores(frame_count: int, signals: list[CleanedSignal]) -> PassScores:
                 0.01,
             ),
         ),
-        {score_name: joints for score_name, joints in names.items() if joints},
+        {
+            score_name: details
+            for score_name, details in details_by_score.items()
+            if details
+        },
     )
 
 

@@ -112,7 +112,7 @@ class TextRows:
         )  # fmt: skip
 
     def decimals(self, column: int) -> int:
-        """Return the most decimals of a column; 15 if a cell has an exponent."""
+        """Return the largest number of decimals in a column; 15 with an exponent."""
         max_decimals = 0
         for text in self.texts:
             prefix = text[: MAX_CELL_BYTES * (column + 1)]
@@ -141,15 +141,15 @@ class TextRows:
             )
         blocks = [np.empty((0, column_count))]
         for begin in range(0, len(self.texts), BLOCK_ROWS):
-            texts = self.texts[begin : begin + BLOCK_ROWS]
+            block_texts = self.texts[begin : begin + BLOCK_ROWS]
             block_counts = self.value_counts[begin : begin + BLOCK_ROWS]
             for row in np.flatnonzero(block_counts < column_count).tolist():
-                texts[row] += b" nan" * (column_count - int(block_counts[row]))
-            text = b"\n".join(texts) + b"\n"
+                block_texts[row] += b" nan" * (column_count - int(block_counts[row]))
+            text = b"\n".join(block_texts) + b"\n"
             block, _, _, _, _, number_count, token = _kernels.parse_bvh_rows(
-                text, column_count, len(texts), True
+                text, column_count, len(block_texts), True
             )
-            if len(block) < len(texts):
+            if len(block) < len(block_texts):
                 message = f"has {number_count} values instead of {column_count}"
                 if token:
                     message = f"{excerpt(decode_text(token))} is not a number"
@@ -159,7 +159,7 @@ class TextRows:
 
 
 def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
-    """Return the rows of numbers in the lines from index ``start`` on.
+    """Return the rows of numbers in the lines, starting at index ``start``.
 
     A line without the separator is split at blanks. Commas are decimal if they are not
     the separator and no line has a point.
@@ -182,9 +182,9 @@ def gather_rows(lines: list[bytes], start: int, separator: bytes) -> TextRows:
                 if not line:
                     continue
                 value_count = line.count(separator) + 1
-            length = len(line)
+            length_before = len(line)
             line = line.replace(empty_cell, nan_cell)
-            if len(line) > length:
+            if len(line) > length_before:
                 # The first pass skips every second gap of consecutive empty cells.
                 line = line.replace(empty_cell, nan_cell)
             if line[:1] == separator:

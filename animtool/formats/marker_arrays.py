@@ -27,7 +27,7 @@ _UNIT_PATTERN = re.compile(r"_(mm|cm|m|in)")
 DEFAULT_PREFIX = "markers"
 # The array of marker names, and names that others give it.
 NAMES_ARRAY = "marker_names"
-OTHER_NAMES_ARRAYS = frozenset(
+NAMES_ARRAY_ALIASES = frozenset(
     {"names", "labels", "marker_labels", "markers_names", "point_names", "point_labels"}
 )
 # Arrays of the pixels of cameras.
@@ -111,8 +111,10 @@ def _read_arrays(
     rate = file.choose_rate(read_number("fs"), fps)
     up_text = archives.text(path, "up") if "up" in array_names else None
     up_axis = file.choose_up(UpAxis(up_text) if up_text in {"Y", "Z"} else None, up)
-    shape = (frame_count, point_count)
-    names = _marker_names(file, archives, path, array_names, positions_name, shape)
+    frame_and_point_count = (frame_count, point_count)
+    names = _marker_names(
+        file, archives, path, array_names, positions_name, frame_and_point_count
+    )
     labels = names if len(names) == point_count else [""] * point_count
     positions = np.array(archives.load_stored(path, positions_name), np.float64)
     residuals, cameras = read_point_array("residuals_m"), read_point_array("cameras")
@@ -161,7 +163,7 @@ def _marker_names(
         file.warn("MKR106", message, hint)
         return names
     for name in array_names:
-        if not has_default_prefix or name not in OTHER_NAMES_ARRAYS:
+        if not has_default_prefix or name not in NAMES_ARRAY_ALIASES:
             continue
         try:
             texts = archives.texts(path, name)
@@ -180,13 +182,13 @@ def _find_positions_array(
     archives: Archives,
     path: Path,
     array_names: list[str],
-    array: str | None,
+    requested_array: str | None,
 ) -> str:
     """Return the name of the array of positions: the requested or the default one."""
-    if array is not None:
+    if requested_array is not None:
         # The archive reports a missing array and lists those it has.
-        archives.header(path, array)
-        return array
+        archives.header(path, requested_array)
+        return requested_array
     candidates = [
         name for name in array_names if name.partition("_")[0] == DEFAULT_PREFIX
     ]

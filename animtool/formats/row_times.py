@@ -45,7 +45,7 @@ class FrameFit:
 
 
 def rounding_error(decimals: int) -> float:
-    """Return the largest rounding error of numbers with so many decimals."""
+    """Return the largest rounding error of numbers with this many decimals."""
     return float(0.5 * 10.0**-decimals)
 
 
@@ -167,7 +167,7 @@ def matches_rate(fit: FrameFit, stated_rate: float, rounding: float) -> bool:
 
 
 def has_few_empty_frames(row_frames: FloatArray | IntArray, marker_count: int) -> bool:
-    """Return whether an acceptable number of frames has no row, for rows ``(R,)``."""
+    """Return whether few enough frames have no row, for rows at the given frames."""
     position_count = (float(row_frames[-1]) + 1) * marker_count
     row_position_count = len(row_frames) * marker_count
     return position_count <= max(

@@ -38,10 +38,10 @@ def format_rows(
 
     ``decimals`` are the maximum decimals of each column.
     """
-    digits = np.array(decimals, np.int64)
+    decimal_counts = np.array(decimals, np.int64)
     for begin in range(0, len(values), CHUNK_ROWS):
-        block = np.ascontiguousarray(values[begin : begin + CHUNK_ROWS])
-        text = _kernels.format_bvh_rows(block, digits)
+        row_block = np.ascontiguousarray(values[begin : begin + CHUNK_ROWS])
+        text = _kernels.format_bvh_rows(row_block, decimal_counts)
         yield text.replace(b" ", b"\t") if uses_tabs else text
 
 

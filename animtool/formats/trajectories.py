@@ -92,7 +92,7 @@ class CaptureFile:
     def choose_rate(
         self, stated_rate: float | None, fps: FractionLike | None
     ) -> Fraction:
-        """Return the frame rate: the option, else the stated one."""
+        """Return the frame rate: the option if given, otherwise the stated rate."""
         if fps is not None:
             return rate_option(fps)
         rate = stated_rate or 0.0
@@ -150,7 +150,9 @@ class CaptureFile:
         ]
         unique_labels = numbered_names(names)
         renamed_labels = [
-            u for s, u in zip(names, unique_labels, strict=True) if s != u
+            unique_label
+            for name, unique_label in zip(names, unique_labels, strict=True)
+            if name != unique_label
         ]
         if renamed_labels:
             hint = "rename them in the capture software"
@@ -158,7 +160,9 @@ class CaptureFile:
             self.warn_of_names("MKR101", message, renamed_labels, hint)
         return tuple(unique_labels)
 
-    def clean_positions(self, positions: FloatArray, meters: float) -> FloatArray:
+    def clean_positions(
+        self, positions: FloatArray, meters_per_unit: float
+    ) -> FloatArray:
         """Return positions [m] with NaN for invalid ones.
 
         A point is invalid if it has a number beyond float32, the same large number in
@@ -171,7 +175,9 @@ class CaptureFile:
             is_beyond_float32 = (np.abs(positions) > FLOAT32_MAX).any(axis=-1)
             is_at_origin = (positions == 0.0).all(axis=-1)
             is_missing_code = (positions == positions[..., :1]).all(axis=-1)
-            is_missing_code &= np.abs(positions[..., 0]) * meters > MAX_COORDINATE
+            is_missing_code &= (
+                np.abs(positions[..., 0]) * meters_per_unit > MAX_COORDINATE
+            )
             is_missing_code &= ~is_beyond_float32
         if is_beyond_float32.any():
             count = counted(int(is_beyond_float32.sum()), "position")
@@ -188,7 +194,7 @@ class CaptureFile:
             self.warn("MKR102", message, "the number is a code for missing points")
         is_missing = is_beyond_float32 | is_at_origin | is_missing_code
         positions[is_missing | np.isnan(positions).any(axis=-1)] = np.nan
-        positions *= meters
+        positions *= meters_per_unit
         self._check_size(positions)
         return positions
 

@@ -100,7 +100,7 @@ def character_strands(
 
 @contextmanager
 def _collect_faults(faults: list[Fault], label: str) -> Iterator[None]:
-    """Return a context that collects faults, with a label before their messages."""
+    """Collect format errors raised in the context, with a label before each message."""
     try:
         yield
     except FormatError as error:

@@ -141,7 +141,7 @@ def _deform_into(
 
 @dataclass(frozen=True, slots=True)
 class _DeformBuffers:
-    """Buffers reused from block to block."""
+    """Arrays that are reused for every block of frames."""
 
     unskinned_values: FloatArray  # points or normals before skinning ``(F, V, 3)``
     points: FloatArray  # ``(F, V, 3)``
@@ -269,8 +269,10 @@ def _deform_normals(
     has_normal_offsets = shapes is not None and shapes.normals is not None
     if has_normal_offsets and weights is not None and weights.any():
         assert shapes is not None
-        unskinned = None if buffers is None else buffers.unskinned_values[:frame_count]
-        normals = blend_normals(shapes, weights, out=unskinned)
+        unskinned_normals = (
+            None if buffers is None else buffers.unskinned_values[:frame_count]
+        )
+        normals = blend_normals(shapes, weights, out=unskinned_normals)
     if mesh.skin is not None and world is not None:
         out = None if buffers is None else buffers.normals[:frame_count]
         return skin_normals(mesh.skin, normals, world, out=out)

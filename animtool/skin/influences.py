@@ -60,7 +60,7 @@ def read_influences(
     ([0.75, 0.25], 1, 3.0)
     """
     joint_indices, weights_array = np.asarray(indices), np.asarray(weights, np.float64)
-    _check_shapes(joint_indices, weights_array, vertex_count)
+    _check_array_shapes(joint_indices, weights_array, vertex_count)
     if vertex_count is not None and len(joint_indices) == 1:
         joint_indices = np.broadcast_to(
             joint_indices, (vertex_count, joint_indices.shape[1])
@@ -83,11 +83,11 @@ def read_influences(
     _raise_vertex_faults(
         ("SKIN004", np.asarray(weight_sums <= 0), "no weight on any joint")
     )
-    errors = np.abs(weight_sums - 1)
+    sum_errors = np.abs(weight_sums - 1)
     report = InfluenceReport(
-        normalized_count=int(np.count_nonzero(errors > SUM_TOLERANCE)),
-        sum_error=float(errors.max(initial=0.0)),
-        sum_vertex=int(np.argmax(errors)) if row_count else 0,
+        normalized_count=int(np.count_nonzero(sum_errors > SUM_TOLERANCE)),
+        sum_error=float(sum_errors.max(initial=0.0)),
+        sum_vertex=int(np.argmax(sum_errors)) if row_count else 0,
     )
     row_starts = np.searchsorted(vertices, np.arange(row_count + 1))
     normalized_weights = sorted_weights / weight_sums[vertices]
@@ -111,17 +111,17 @@ def _merge_duplicates(
     sorted_weights = sorted_weights[is_nonzero]
     if not _has_duplicates(joint_indices, weights):
         return vertices, sorted_joints, sorted_weights
-    keys = vertices * joint_count + sorted_joints
-    unique_keys, first_indices, inverse = np.unique(
-        keys, return_index=True, return_inverse=True
+    vertex_joint_keys = vertices * joint_count + sorted_joints
+    unique_vertex_joint_keys, first_indices, inverse = np.unique(
+        vertex_joint_keys, return_index=True, return_inverse=True
     )
-    merged_weights = np.bincount(inverse, sorted_weights, len(unique_keys)).astype(
-        np.float64
-    )
+    merged_weights = np.bincount(
+        inverse, sorted_weights, len(unique_vertex_joint_keys)
+    ).astype(np.float64)
     order = np.argsort(first_indices)
     return (
-        unique_keys[order] // joint_count,
-        unique_keys[order] % joint_count,
+        unique_vertex_joint_keys[order] // joint_count,
+        unique_vertex_joint_keys[order] % joint_count,
         merged_weights[order],
     )
 
@@ -134,12 +134,12 @@ def _has_duplicates(joint_indices: IntArray, weights: FloatArray) -> bool:
     return bool((sorted_joints[:, 1:] == sorted_joints[:, :-1]).any())
 
 
-def _check_shapes(
+def _check_array_shapes(
     joint_indices: npt.NDArray[np.generic],
     weights: FloatArray,
     vertex_count: int | None,
 ) -> None:
-    """Raise if joint indices are not integers, or weights have another shape."""
+    """Raise unless joint indices are integers with the array shape of the weights."""
     if joint_indices.ndim != 2 or joint_indices.shape != weights.shape:
         message = (
             f"joint indices {joint_indices.shape} and weights {weights.shape} must "

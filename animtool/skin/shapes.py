@@ -120,14 +120,18 @@ def column_weights(shapes: PreparedShapes, weights: ArrayLike) -> FloatArray:
 
     ``weights`` ``(F, S)`` [1].
     """
-    values = as_floats(weights, ("F", len(shapes.names)), "weights")
+    shape_weights = as_floats(weights, ("F", len(shapes.names)), "weights")
     if all(len(knots) == 2 for knots in shapes.knots):
-        return values
+        return shape_weights
     weights_per_shape = [
-        values[:, i : i + 1] if len(knots) == 2 else _hat_weights(knots, values[:, i])
+        shape_weights[:, i : i + 1]
+        if len(knots) == 2
+        else _hat_weights(knots, shape_weights[:, i])
         for i, knots in enumerate(shapes.knots)
     ]
-    return np.concatenate([np.zeros((len(values), 0)), *weights_per_shape], axis=1)
+    return np.concatenate(
+        [np.zeros((len(shape_weights), 0)), *weights_per_shape], axis=1
+    )
 
 
 def blend_points(
@@ -188,7 +192,7 @@ def _blend_columns(
 def _add_dense_columns(
     columns: _Columns, weights: FloatArray, is_active: BoolArray, out: FloatArray
 ) -> None:
-    """Fill in rest values plus dense columns times their weights ``(F, 3·V)``."""
+    """Write rest values plus weighted dense columns into ``out`` ``(F, 3·V)``."""
     dense_weights, is_used = weights[:, columns.is_dense], is_active[columns.is_dense]
     dense_table = columns.dense_table
     inactive_count = len(is_used) - int(is_used.sum())
@@ -204,7 +208,7 @@ def _add_dense_columns(
 def _active_offsets(
     columns: _Columns, is_active_column: BoolArray
 ) -> tuple[IntArray, npt.NDArray[np.int32], FloatArray]:
-    """Return the sparse offsets of the active columns."""
+    """Return row starts, column indices and offsets of the active sparse columns."""
     is_active_offset = is_active_column[columns.columns]
     if is_active_offset.all():
         return columns.row_starts, columns.columns, columns.offsets
@@ -217,7 +221,7 @@ def _active_offsets(
 
 
 def _hat_weights(knots: FloatArray, weights: FloatArray) -> FloatArray:
-    """Return the hat function values of all knots except 0 ``(F, knots - 1)``."""
+    """Return the value of each knot's hat function, except 0's ``(F, knots - 1)``."""
     last_segment = len(knots) - 2
     segments = np.clip(np.searchsorted(knots, weights, "right") - 1, 0, last_segment)
     fraction = (weights - knots[segments]) / (knots[segments + 1] - knots[segments])
@@ -337,7 +341,7 @@ def _shape_faults(shape: SurfaceShape, vertex_count: int) -> list[Fault]:
 
 
 def _offset_faults(name: str, values: FloatArray, offset_count: int) -> list[Fault]:
-    """Return faults for offsets with a wrong shape, or not finite."""
+    """Return a fault if offsets have the wrong array shape or are not finite."""
     array = np.asarray(values, np.float64)
     if array.shape != (offset_count, 3):
         message = f"{name} are {array.shape}, but must be ({offset_count}, 3)"

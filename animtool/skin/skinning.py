@@ -87,7 +87,7 @@ def prepare_skin(binding: Binding, vertex_count: int) -> PreparedSkin:
     )
     used_joints, compact_joints = np.unique(influences.joints, return_inverse=True)
     joints = mesh_joints[used_joints].astype(np.int64)
-    _check_regular(bind, joints)
+    _check_invertible(bind, joints)
     used_influences = Influences(
         influences.row_starts, compact_joints.astype(np.int32), influences.weights
     )
@@ -158,8 +158,8 @@ def _skin_values(
         out, (len(world.positions), influences.vertex_count, 3)
     )
     if skin.method is SkinMethod.LINEAR:
-        offsets = skin.joint_from_world @ skin.world_from_points
-        transforms = _skinning_matrices(skin, offsets[:, :3], world)
+        joint_from_points = skin.joint_from_world @ skin.world_from_points
+        transforms = _skinning_matrices(skin, joint_from_points[:, :3], world)
         if are_normals:
             transforms[..., :3] = _inverse_transposes(transforms[..., :3])
             transforms[..., 3] = 0.0
@@ -200,19 +200,19 @@ def _skin_values(
 
 
 def _to_world(points: FloatArray, world_from_points: FloatArray) -> FloatArray:
-    """Transform points to the world at bind time."""
+    """Return points transformed to world space at bind time."""
     if (world_from_points == np.eye(4)).all():
         return points
     return points @ world_from_points[:3, :3].T + world_from_points[:3, 3]
 
 
 def _skinning_matrices(
-    skin: PreparedSkin, offsets: FloatArray, world: WorldTransforms
+    skin: PreparedSkin, joint_from_source: FloatArray, world: WorldTransforms
 ) -> FloatArray:
-    """Return joint world transforms times offsets ``(U, 3, 4)`` as ``(F, U, 3, 4)``."""
+    """Return each joint's world transform times its matrix ``(F, U, 3, 4)``."""
     linear, origins = world.linear[:, skin.joints], world.positions[:, skin.joints]
     _check_finite(skin, linear, origins)
-    transforms: FloatArray = np.matmul(linear, offsets)
+    transforms: FloatArray = np.matmul(linear, joint_from_source)
     transforms[..., 3] += origins
     return transforms
 
@@ -275,7 +275,7 @@ def _check_mesh_joints(mesh_joints: IntArray, joint_count: int) -> None:
         raise FormatError(Fault("SKIN002", message + listed(out_of_range)))
 
 
-def _check_regular(bind: FloatArray, joints: IntArray) -> None:
+def _check_invertible(bind: FloatArray, joints: IntArray) -> None:
     """Raise if the bind transform of a joint has no inverse."""
     linear = bind[joints, :3, :3]
     largest = np.abs(linear).max(axis=(1, 2), initial=0.0)

@@ -60,7 +60,7 @@ class Camera:
 
     @property
     def kernel_parameters(self) -> FloatArray:
-        """Parameters for kernels: focal, centre, skew, lens, R, t, size ``(27,)``."""
+        """Focal lengths, centre, skew, lens, pose, image size for kernels ``(27,)``."""
         lens_parameters = (*self.focal, *self.centre, self.skew, *self.distortion)
         size = self.size or (0, 0)
         pose_parameters = (self.rotation.ravel(), self.translation)

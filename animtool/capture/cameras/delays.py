@@ -45,14 +45,18 @@ def delay_warnings(
     if len(cameras) < MIN_CAMERAS or len(positions) <= 2 * MAX_DELAY:
         return {}
     warning_by_name: dict[str, Fault] = {}
-    for c, (camera, error) in enumerate(zip(cameras, errors, strict=True)):
-        other_errors = [e for k, e in enumerate(errors) if k != c and e > 0]
+    for camera_index, (camera, error) in enumerate(zip(cameras, errors, strict=True)):
+        other_errors = [
+            e for index, e in enumerate(errors) if index != camera_index and e > 0
+        ]
         if not other_errors:
             continue
         max_error = SUSPECT_ERROR_RATIO * float(np.median(other_errors))
         if error <= max_error:
             continue
-        delay, improvement, best_error = _best_delay(observations, camera, c, positions)
+        delay, improvement, best_error = _best_delay(
+            observations, camera, camera_index, positions
+        )
         if improvement < MIN_DELAY_IMPROVEMENT or best_error > max_error:
             continue
         offset = f"{counted(abs(delay), 'frame')} {'late' if delay > 0 else 'early'}"
@@ -66,7 +70,7 @@ def delay_warnings(
 
 
 def _best_delay(
-    observations: Observations, camera: Camera, index: int, positions: FloatArray
+    observations: Observations, camera: Camera, camera_index: int, positions: FloatArray
 ) -> tuple[int, float, float]:
     """Return the delay of the best fit [frames], its improvement, and its error [px].
 
@@ -76,7 +80,9 @@ def _best_delay(
     frames = np.arange(MAX_DELAY, len(positions) - MAX_DELAY)
     frames = frames[:: max(1, len(frames) // MAX_SAMPLED_FRAMES)]
     projected_points = project(camera, positions[frames])
-    camera_observations = replace(observations, stored=observations.stored[:, [index]])
+    camera_observations = replace(
+        observations, stored=observations.stored[:, [camera_index]]
+    )
     pixels = camera_observations.pixels(0, len(positions))[:, 0]
     delays = range(-MAX_DELAY, MAX_DELAY + 1)
     median_errors = []

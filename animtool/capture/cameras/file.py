@@ -109,7 +109,7 @@ def parse_cameras(
 ) -> Cameras:
     """Convert the document of a ``*.cameras.yaml`` file to cameras, and check them.
 
-    ``unit`` and ``up`` hold where the file states none.
+    ``unit`` and ``up`` apply if the file states none.
     """
     model = validate_file(document, "cameras", CamerasModel)
     is_unit_stated = "length" in model.units.model_fields_set
@@ -119,13 +119,13 @@ def parse_cameras(
         up = UpAxis(model.up)
     scale = unit.meters
     cameras: list[Camera] = []
-    names: dict[str, int] = {}
+    index_by_name: dict[str, int] = {}
     for i, view in enumerate(model.views):
-        if view.name in names:
+        if view.name in index_by_name:
             message = f"two cameras are called {view.name!r}"
-            hint = f"the first is views[{names[view.name]}]"
+            hint = f"the first is views[{index_by_name[view.name]}]"
             document.add("CAM002", ("views", i, "name"), message, hint)
-        names.setdefault(view.name, i)
+        index_by_name.setdefault(view.name, i)
         rotation = _rotation_matrix(view.rotation)
         if rotation is None:
             message = "is not a rotation"

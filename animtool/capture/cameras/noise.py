@@ -168,13 +168,17 @@ def _find_stale_camera(
             *limits, has_details=False,
         )  # fmt: skip
         others = [*cameras[:camera], *cameras[camera + 1 :]]
-        change = fit_pose_change(cameras[camera], points, pixels[:, camera], others)
-        if change is not None:
-            stale_fits.append((float(np.nanmedian(errors[..., 0])), camera, change))
+        pose_change = fit_pose_change(
+            cameras[camera], points, pixels[:, camera], others
+        )
+        if pose_change is not None:
+            stale_fits.append(
+                (float(np.nanmedian(errors[..., 0])), camera, pose_change)
+            )
     if not stale_fits:
         return None
-    _, camera, change = min(stale_fits, key=lambda camera_change: camera_change[:2])
-    return camera, change
+    _, camera, pose_change = min(stale_fits, key=lambda stale_fit: stale_fit[:2])
+    return camera, pose_change
 
 
 def initial_noise(pixels: FloatArray, kernel_cameras: FloatArray) -> float:

@@ -142,12 +142,12 @@ def read_observations(
 
 
 def _solve_hint(path: Path) -> str:
-    """Return the hint for a file of 3D positions: to solve it, not triangulate it."""
+    """Return a hint to solve a file of 3D positions instead of triangulating it."""
     return f"they are triangulated already: animtool mocap solve {path}"
 
 
 def _npz_error(path: Path, message: str) -> FormatError:
-    """Return an error about a faulty array, or about a file that is not npz."""
+    """Return an error about an invalid array, or about a file that is not npz."""
     message, hint = _explain_npz_fault(path, message)
     return FormatError(Fault("CAM010", message, str(path), hint=hint))
 
@@ -281,12 +281,14 @@ def match_cameras(observations: Observations, cameras: Cameras) -> Cameras:
     path = cameras.path or None
     camera_count = observations.stored.shape[1]
     if observations.cameras:
-        by_name = {camera.name: camera for camera in cameras.cameras}
-        missing_names = [name for name in observations.cameras if name not in by_name]
+        camera_by_name = {camera.name: camera for camera in cameras.cameras}
+        missing_names = [
+            name for name in observations.cameras if name not in camera_by_name
+        ]
         if missing_names:
             advice = ": is it that of this capture?"
             raise uncalibrated_error(missing_names[0], cameras, advice)
-        matched_cameras = tuple(by_name[name] for name in observations.cameras)
+        matched_cameras = tuple(camera_by_name[name] for name in observations.cameras)
     else:
         matched_cameras = cameras.cameras
         if len(matched_cameras) != camera_count:

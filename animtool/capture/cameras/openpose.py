@@ -143,17 +143,19 @@ def _continue_tracks(
         if not live_tracks or not people[c]:
             continue
         costs = np.full((len(live_tracks), len(people[c])), _MAX_SHIFT)
-        for t, track in enumerate(live_tracks):
+        for track_index, track in enumerate(live_tracks):
             projected_points = project(camera, track.points)
             for i, keypoints in enumerate(people[c]):
                 distances = np.linalg.norm(projected_points - keypoints[:, :2], axis=-1)
                 is_visible = np.isfinite(distances)
                 if is_visible.sum() >= MIN_SHARED_KEYPOINTS:
                     distance = float(np.median(distances[is_visible]))
-                    costs[t, i] = min(distance / _person_size(keypoints), _MAX_SHIFT)
-        for t, i in zip(*linear_sum_assignment(costs), strict=True):
-            if costs[t, i] < _MAX_SHIFT:
-                groups[t][c] = int(i)
+                    costs[track_index, i] = min(
+                        distance / _person_size(keypoints), _MAX_SHIFT
+                    )
+        for track_index, i in zip(*linear_sum_assignment(costs), strict=True):
+            if costs[track_index, i] < _MAX_SHIFT:
+                groups[track_index][c] = int(i)
                 free_detections.discard((c, int(i)))
     return list(zip(live_tracks, groups, strict=True))
 
@@ -179,18 +181,18 @@ def _group_detections(
             )
             if cost < _MAX_RAY_GAP:
                 pair_costs[a, b] = cost
-    group_of = {(c, i): {c: i} for c, i in free_detections}
+    group_by_detection = {(c, i): {c: i} for c, i in free_detections}
     for _, a, b in sorted((cost, *pair) for pair, cost in pair_costs.items()):
-        first, second = group_of[a], group_of[b]
-        if first is second or set(first) & set(second):
+        first_group, second_group = group_by_detection[a], group_by_detection[b]
+        if first_group is second_group or set(first_group) & set(second_group):
             continue
         # All keypoints of both must agree: rays of two people may meet by chance.
-        cross_pairs = itertools.product(first.items(), second.items())
+        cross_pairs = itertools.product(first_group.items(), second_group.items())
         if all((min(pair), max(pair)) in pair_costs for pair in cross_pairs):
-            first.update(second)
-            for detection in second.items():
-                group_of[detection] = first
-    unique_groups = {id(group): group for group in group_of.values()}
+            first_group.update(second_group)
+            for detection in second_group.items():
+                group_by_detection[detection] = first_group
+    unique_groups = {id(group): group for group in group_by_detection.values()}
     return [group for group in unique_groups.values() if len(group) > 1]
 
 

@@ -179,12 +179,18 @@ def truncated_error(
     ``is_visible`` observations count; ``has_extra_camera`` ``(F, M)`` marks points that
     one more camera is used for.
     """
-    squares = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
-    squares = np.where(np.isfinite(squares), np.minimum(squares, gate**2), gate**2)
-    counts = is_visible.sum(axis=1)
+    squared_ratios = (residuals**2).sum(axis=-1) / noise[:, None] ** 2
+    squared_ratios = np.where(
+        np.isfinite(squared_ratios), np.minimum(squared_ratios, gate**2), gate**2
+    )
+    camera_counts = is_visible.sum(axis=1)
     # A point takes 3 of the 2n residuals of all n cameras that see it.
-    degrees = 2 * counts - 3 * counts / np.maximum(counts + has_extra_camera, 1)
-    return float(squares[is_visible].sum() / max(float(degrees.sum()), 1e-12))
+    degrees_of_freedom = 2 * camera_counts - 3 * camera_counts / np.maximum(
+        camera_counts + has_extra_camera, 1
+    )
+    return float(
+        squared_ratios[is_visible].sum() / max(float(degrees_of_freedom.sum()), 1e-12)
+    )
 
 
 def _exact_ranges(
@@ -263,9 +269,13 @@ def fit_pose_change(
     initial_error = _median_error(camera, points, pixels)
     if not refined_error < 0.5 * initial_error:
         return None
-    errors = {other.name: _median_error(other, points, pixels) for other in others}
-    best_name = min(errors, key=errors.__getitem__, default="")
-    is_match = errors.get(best_name, np.inf) < MATCH_ERROR_RATIO * initial_error
+    error_by_camera = {
+        other.name: _median_error(other, points, pixels) for other in others
+    }
+    best_name = min(error_by_camera, key=error_by_camera.__getitem__, default="")
+    is_match = (
+        error_by_camera.get(best_name, np.inf) < MATCH_ERROR_RATIO * initial_error
+    )
     rotation_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
     return PoseChange(
         float(np.linalg.norm(rotation_vector)),

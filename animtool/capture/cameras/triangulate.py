@@ -227,7 +227,7 @@ class _TriangulationRun:
                 self.progress(block.stop / self.frame_count)
 
     def _observations_of(self, *frames: int) -> tuple[FloatArray, FloatArray | None]:
-        """Return pixels and confidences of the frames from first to end by step."""
+        """Return pixels and confidences of frames, given as first, end and step."""
         observations = self.observations
         return observations.pixels(*frames), observations.confidences_of(*frames)
 
@@ -393,17 +393,22 @@ class _TriangulationRun:
         reports = tuple(
             replace(
                 self.counts.report(
-                    c, cameras[c].name, float(self.noise[c]), tuple(shifts)
+                    camera_index,
+                    cameras[camera_index].name,
+                    float(self.noise[camera_index]),
+                    tuple(shifts),
                 ),
-                disagrees=self._find_disagreements(c),
+                disagrees=self._find_disagreements(camera_index),
             )
-            for c, shifts in enumerate(self.shifts)
+            for camera_index, shifts in enumerate(self.shifts)
         )
         keep_moved = self.options.keep_moved
         notices = self.notices
         path, clock = observations.path, observations.clock
         camera_errors = [report.error_px for report in reports]
-        delays = delay_warnings(observations, cameras, self.positions, camera_errors)
+        delay_warning_by_camera = delay_warnings(
+            observations, cameras, self.positions, camera_errors
+        )
         for report, camera in zip(reports, cameras, strict=True):
             camera_faults = camera_notices(
                 report, camera, clock, path, is_kept=keep_moved
@@ -412,9 +417,10 @@ class _TriangulationRun:
             notices += [
                 notice
                 for notice in camera_faults
-                if report.name not in delays or notice.code not in DELAY_CODES
+                if report.name not in delay_warning_by_camera
+                or notice.code not in DELAY_CODES
             ]
-        notices += delays.values()
+        notices += delay_warning_by_camera.values()
         is_visible = self.statistics[..., 4] > 1
         notices += lost_frame_notices(self.positions, is_visible, clock, path)
         notices += gap_notices(

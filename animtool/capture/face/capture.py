@@ -126,17 +126,21 @@ def _read_arrays(
         raise _format_error(path, "has no array landmarks_mm or landmarks_px", hint)
     array_name = point_arrays[0]
     header = archives.header(path, array_name)
-    width = 2 if array_name.endswith("_px") else 3
-    if len(header.shape) != 3 or header.shape[2] != width or header.kind not in "fiu":
+    component_count = 2 if array_name.endswith("_px") else 3
+    if (
+        len(header.shape) != 3
+        or header.shape[2] != component_count
+        or header.kind not in "fiu"
+    ):
         message = f"{array_name} has shape {header.shape}, not (frames, landmarks, "
-        message += f"{width})"
+        message += f"{component_count})"
         raise _format_error(path, message)
-    frame_count, count, _ = header.shape
-    if not 0 < frame_count * count <= MAX_POSITIONS:
+    frame_count, landmark_count, _ = header.shape
+    if not 0 < frame_count * landmark_count <= MAX_POSITIONS:
         raise _format_error(
-            path, f"{array_name} has {frame_count} frames of {count} landmarks"
+            path, f"{array_name} has {frame_count} frames of {landmark_count} landmarks"
         )
-    scale = 1.0 if width == 2 else _unit_meters(array_name, unit)
+    scale = 1.0 if component_count == 2 else _unit_meters(array_name, unit)
     points = np.array(archives.load_stored(path, array_name), np.float64) * scale
     notices = []
     # NaN marks missing values; infinite ones count as missing too.
@@ -148,8 +152,10 @@ def _read_arrays(
     names = None
     if "landmark_names" in array_names:
         names = tuple(archives.texts(path, "landmark_names"))
-        if len(names) != count or len(set(names)) < count:
-            message = f"landmark_names has {len(set(names))} names for {count} "
+        if len(names) != landmark_count or len(set(names)) < landmark_count:
+            message = (
+                f"landmark_names has {len(set(names))} names for {landmark_count} "
+            )
             message += "landmarks"
             raise _format_error(path, message)
     rate = _capture_rate(archives, path, array_names, fps)

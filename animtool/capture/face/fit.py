@@ -86,10 +86,18 @@ class FaceFit:
         """Root mean square residual and outlier count of each landmark."""
         is_visible = np.isfinite(self.residuals)
         is_inlier = is_visible & (self.shares >= MISPLACED_FRACTION)
-        squares = np.where(is_inlier, self.residuals, 0.0) ** 2
-        rms = np.sqrt(squares.sum(axis=0) / np.maximum(is_inlier.sum(axis=0), 1))
-        counts = is_visible.sum(axis=0), (is_visible & ~is_inlier).sum(axis=0)
-        columns = (rms.tolist(), *(column.tolist() for column in counts))
+        squared_residuals = np.where(is_inlier, self.residuals, 0.0) ** 2
+        rms = np.sqrt(
+            squared_residuals.sum(axis=0) / np.maximum(is_inlier.sum(axis=0), 1)
+        )
+        visible_and_outlier_counts = (
+            is_visible.sum(axis=0),
+            (is_visible & ~is_inlier).sum(axis=0),
+        )
+        columns = (
+            rms.tolist(),
+            *(column.tolist() for column in visible_and_outlier_counts),
+        )
         return [
             LandmarkScore(*row) for row in zip(self.model.names, *columns, strict=True)
         ]

@@ -29,7 +29,7 @@ class FaceModel:
 
     Attributes:
         names: Names of the landmarks; ``0``, ``1``, … where they have none.
-        shapes: Names of the shapes that have their own weight.
+        is_kept: Names of the shapes that have their own weight.
         neutral: Landmarks at rest [m] ``(N, 3)``.
         deltas: Added at weight 1 [m] ``(S, N, 3)``.
         nonlinear_shapes: Shapes whose in-betweens or correctives add to the sum of
@@ -95,14 +95,14 @@ class FaceModel:
             lengths.max(axis=1, initial=0) > MIN_LANDMARK_MOTION * self.size
         )
 
-    def select(self, shapes: BoolArray) -> FaceModel:
+    def select(self, is_kept: BoolArray) -> FaceModel:
         """Return the model with only the shapes in a mask ``(S,)``."""
-        names = tuple(compress(self.shapes, shapes))
+        names = tuple(compress(self.shapes, is_kept))
         nonlinear = self.nonlinear_shapes
         if nonlinear is not None:
-            nonlinear = nonlinear.select(shapes)
+            nonlinear = nonlinear.select(is_kept)
         return replace(
-            self, shapes=names, deltas=self.deltas[shapes], nonlinear_shapes=nonlinear
+            self, shapes=names, deltas=self.deltas[is_kept], nonlinear_shapes=nonlinear
         )
 
     def similar_shapes(self) -> list[tuple[int, int]]:
@@ -137,19 +137,23 @@ class FaceModel:
             )
         return notices
 
-    def with_proportions(self, captured: FloatArray) -> FaceModel:
+    def with_proportions(self, captured_landmarks: FloatArray) -> FaceModel:
         """Return the model with the proportions of a captured neutral face.
 
         The captured landmarks ``(N, 3)`` [m] are NaN where not visible and keep their
         model position there. Deltas scale with the sizes of the two faces.
         """
-        is_visible = np.isfinite(captured).all(axis=1)
-        scale = rms_spread(captured[is_visible]) / rms_spread(self.neutral[is_visible])
+        is_visible = np.isfinite(captured_landmarks).all(axis=1)
+        scale = rms_spread(captured_landmarks[is_visible]) / rms_spread(
+            self.neutral[is_visible]
+        )
         rotation, shift = rigid_motion(
-            self.neutral[is_visible] * scale, captured[is_visible]
+            self.neutral[is_visible] * scale, captured_landmarks[is_visible]
         )
         neutral = self.neutral * scale
-        neutral[is_visible] = rotate(conjugate(rotation), captured[is_visible] - shift)
+        neutral[is_visible] = rotate(
+            conjugate(rotation), captured_landmarks[is_visible] - shift
+        )
         return replace(
             self, neutral=neutral, deltas=self.deltas * scale, nonlinear_shapes=None
         )
@@ -161,7 +165,7 @@ class NonlinearShapes:
 
     shapes: tuple[Shape, ...]  # of the rig: those that move landmarks or are combined
     prepared_shapes: PreparedShapes  # the shapes that have deltas
-    solved_indices: tuple[int, ...]  # index of each solved shape in ``shapes``
+    solved_indices: tuple[int, ...]  # index of each solved shape in ``is_kept``
 
     def points(self, weights: FloatArray) -> FloatArray:
         """Return landmarks ``(F, N, 3)`` [m] for solved shapes' weights ``(F, S)``."""

@@ -165,7 +165,8 @@ def fit_face(
 def _merge_shapes(model: FaceModel, is_moving: BoolArray) -> tuple[BoolArray, IntArray]:
     """Merge shapes with equal deltas, so that one of each group is solved.
 
-    Return a mask of those ``(S,)``, and the index of each shape's ``(S,)``.
+    Return a mask of the solved shapes, and the solved shape that represents each
+    shape, both ``(S,)``.
     """
     is_solved, representative_of_shape = is_moving.copy(), np.arange(len(is_moving))
     for a, b in model.similar_shapes() if model.nonlinear_shapes is None else ():
@@ -180,11 +181,12 @@ def _check_landmarks(
     model: FaceModel, observed: FloatArray, camera: FloatArray | None
 ) -> None:
     """Raise if landmarks do not match the face model in number, size or unit."""
-    width = 3 if camera is None else 2
-    shape = (len(model.names), width)
+    component_count = 3 if camera is None else 2
+    shape = (len(model.names), component_count)
     if observed.ndim != 3 or observed.shape[1:] != shape or not len(observed):
         message = f"landmarks have shape {observed.shape}, but the face has "
-        message += f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, {width})"
+        message += f"{counted(len(model.names), 'landmark')}: (F, {shape[0]}, "
+        message += f"{component_count})"
         raise OptionError(Fault("FAC004", message))
     if len(model.names) < MIN_LANDMARKS:
         message = f"the face has {counted(len(model.names), 'landmark')}"

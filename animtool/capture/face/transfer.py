@@ -111,10 +111,12 @@ def _target_landmarks(
     ]
     if len(shared_names) < 4:
         refuse("FAC004", f"the faces share {len(shared_names)} landmarks; 4 are needed")
-    columns = {name: i for i, name in enumerate(source)}
+    column_by_shape = {name: i for i, name in enumerate(source)}
     source_weights = np.stack(
         [
-            weights[:, columns[name]] if name in columns else np.zeros(len(weights))
+            weights[:, column_by_shape[name]]
+            if name in column_by_shape
+            else np.zeros(len(weights))
             for name in source_face.shapes
         ],
         axis=-1,

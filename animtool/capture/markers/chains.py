@@ -22,25 +22,27 @@ UNRELATED_DENSITY, MIN_DENSITY = 1.0, 0.05
 FAR_DISTANCE, UNSTEADY_SPREAD = 0.25, 0.02
 
 
-def rest_evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> FloatArray:
-    """Return the evidence that distances are those of rest pairs ``(..., M)`` [nat].
+def rest_evidence(
+    mean: FloatArray, spread: FloatArray, rest_distances: FloatArray
+) -> FloatArray:
+    """Return the evidence [nat] that distances are those of pairs at rest ``(..., M)``.
 
     It compares each distance's likelihood for the rest pair with that for arbitrary
     points. It is 0 where a distance is unknown.
 
-    mean, spread: Mean and spread of observed distances ``(...)`` [m]. rest: ``(M,)`` or
-    ``(..., M)``.
+    mean, spread: Mean and spread of observed distances ``(...)`` [m]. rest_distances:
+    ``(M,)`` or ``(..., M)``.
     """
     is_known = np.isfinite(mean)
     mean = np.where(is_known, mean, 0.0)[..., None]
     spread = np.where(is_known, spread, 1.0)[..., None]
-    deviation = mean - rest
+    deviation = mean - rest_distances
     rigid_tolerance = DISTANCE_NOISE + SKIN_FACTOR * spread
     same_segment = SAME_SEGMENT_PRIOR / (1.0 + (spread / LOOSE_SPREAD) ** 2)
     rigid_density = same_segment / (
         np.pi * rigid_tolerance * (1.0 + (deviation / rigid_tolerance) ** 2)
     )
-    loose_tolerance = MIN_PLAY + spread + JOINT_PLAY_FRACTION * rest
+    loose_tolerance = MIN_PLAY + spread + JOINT_PLAY_FRACTION * rest_distances
     loose_density = (1.0 - same_segment) / (
         np.pi * loose_tolerance * (1.0 + (deviation / loose_tolerance) ** 2)
     ) + MIN_DENSITY
@@ -51,7 +53,7 @@ def rest_evidence(mean: FloatArray, spread: FloatArray, rest: FloatArray) -> Flo
         rigid_density / loose_density
     )
     return np.asarray(
-        np.where(is_known[..., None] & np.isfinite(rest), log_likelihood, 0.0)
+        np.where(is_known[..., None] & np.isfinite(rest_distances), log_likelihood, 0.0)
     )
 
 

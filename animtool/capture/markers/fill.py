@@ -276,7 +276,7 @@ def _polynomial_positions(
 
 
 def _visible_frames_near(is_known: BoolArray, start: int, step: int) -> list[int]:
-    """Return the visible frames next to a gap, from ``start`` on, up to a limit."""
+    """Return up to `CURVE_FRAMES` consecutive visible frames, starting at ``start``."""
     frames: list[int] = []
     frame = start
     while 0 <= frame < len(is_known) and is_known[frame] and len(frames) < CURVE_FRAMES:

@@ -18,10 +18,10 @@ PERCENTILES = (15.87, 50.0, 84.13)
 
 @dataclass(frozen=True, slots=True)
 class MarkerDistances:
-    """Typical distance of each two of M markers, and how much it varies."""
+    """Typical distance of each pair of M markers, and its variation."""
 
     mean: FloatArray  # mean of each pair ``(M, M)`` [m]; NaN if never visible
-    spread: FloatArray  # how much each varies ``(M, M)`` [m], standard deviation
+    spread: FloatArray  # standard deviation of each pair ``(M, M)`` [m]
 
 
 def marker_distances(positions: FloatArray) -> MarkerDistances:

@@ -147,11 +147,11 @@ def _match_markers(
     tolerance: float,
 ) -> list[tuple[int, ...]]:
     """Return all marker tuples whose rest distances match those of a group of runs."""
-    first, second = np.nonzero(
+    first_markers, second_markers = np.nonzero(
         np.abs(rest_distances - distances[group[1], group[0]]) < tolerance
     )
-    partial_matches = np.stack([first, second], axis=1)
-    partial_matches = partial_matches[first != second]
+    partial_matches = np.stack([first_markers, second_markers], axis=1)
+    partial_matches = partial_matches[first_markers != second_markers]
     for k in range(2, len(group)):
         group_distances = distances[group[k], group[:k]]
         deviation = np.abs(
@@ -353,7 +353,7 @@ def _name_first_runs(
 def _find_first_span(
     tracklets: Tracklets, frame_count: int, rate: float
 ) -> tuple[slice, IntArray]:
-    """Return the span of frames best covered by long runs, and the indices of these."""
+    """Return the frames that long runs cover best, and the indices of those runs."""
     first, last = tracklets.first, tracklets.last
     span_length = min(frame_count, max(MIN_RUN_FRAMES, int(FIRST_SPAN_SECONDS * rate)))
     best_start, best_score = 0, -1

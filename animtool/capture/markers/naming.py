@@ -34,7 +34,7 @@ MAX_SWAPS = 40
 
 
 class PointNaming:
-    """An assignment of markers to points, and the evidence for every other one.
+    """An assignment of markers to points, and the evidence for each possible name.
 
     Attributes:
         point_markers: Marker of each point ``(R,)``; -1 for none.
@@ -136,30 +136,39 @@ class PointNaming:
 
     def _clearest_pair(self, score: FloatArray) -> Any:
         """Return the clearest rigid pair: evidence margin [nat], points and names."""
-        first, second = self.rigid_pairs
-        is_free = (self.point_markers[first] < 0) & (self.point_markers[second] < 0)
-        first, second = first[is_free], second[is_free]
-        if not len(first):
+        first_points, second_points = self.rigid_pairs
+        is_free = (self.point_markers[first_points] < 0) & (
+            self.point_markers[second_points] < 0
+        )
+        first_points, second_points = first_points[is_free], second_points[is_free]
+        if not len(first_points):
             return None
-        pair_scores = score[first][:, :, None] + score[second][:, None, :]
-        pair_scores = pair_scores + self.pair_scores[first, second]
-        pair_scores = pair_scores.reshape(len(first), -1)
-        rows = np.arange(len(first))
+        pair_scores = score[first_points][:, :, None] + score[second_points][:, None, :]
+        pair_scores = pair_scores + self.pair_scores[first_points, second_points]
+        pair_scores = pair_scores.reshape(len(first_points), -1)
+        rows = np.arange(len(first_points))
         best_pair = pair_scores.argmax(axis=1)
         best_score = pair_scores[rows, best_pair].copy()
         pair_scores[rows, best_pair] = -np.inf
         rival_score = np.maximum(pair_scores.max(axis=1), 0.0)
-        margin = np.full(len(first), -1.0)
+        margin = np.full(len(first_points), -1.0)
         is_eligible = np.isfinite(best_score)
         is_eligible[is_eligible] = (
             best_score
             > MIN_NAME_EVIDENCE
-            * (self.visible_fraction[first] + self.visible_fraction[second])
+            * (
+                self.visible_fraction[first_points]
+                + self.visible_fraction[second_points]
+            )
         )[is_eligible]
         margin[is_eligible] = 0.5 * (best_score - rival_score)[is_eligible]
         row = int(margin.argmax())
-        i, j = divmod(int(best_pair[row]), score.shape[1])
-        return float(margin[row]), (int(first[row]), i), (int(second[row]), j)
+        first_marker, second_marker = divmod(int(best_pair[row]), score.shape[1])
+        return (
+            float(margin[row]),
+            (int(first_points[row]), first_marker),
+            (int(second_points[row]), second_marker),
+        )
 
     def improve(self, best_total: float = -np.inf) -> None:
         """Rename points and swap markers as long as the likelihood increases.
@@ -210,18 +219,24 @@ class PointNaming:
         All pairs of markers are tried, and triples and double pairs of near ones.
         """
         points = np.flatnonzero(self.point_markers >= 0)
-        named_markers, first = np.unique(self.point_markers[points], return_index=True)
+        named_markers, first_rows = np.unique(
+            self.point_markers[points], return_index=True
+        )
         marker_count = self.scores.shape[1]
-        rows = self.pair_scores[points[first]]
-        later_points = np.setdiff1d(np.arange(len(points)), first)
+        marker_scores = self.pair_scores[points[first_rows]]
+        later_points = np.setdiff1d(np.arange(len(points)), first_rows)
         for point in points[later_points].tolist():
-            rows[np.searchsorted(named_markers, self.point_markers[point])] += (
-                self.pair_scores[point]
-            )
+            marker_scores[
+                np.searchsorted(named_markers, self.point_markers[point])
+            ] += self.pair_scores[point]
         pair_scores: FloatArray = np.zeros((marker_count,) * 4, self.pair_scores.dtype)
-        pair_scores[np.ix_(named_markers, named_markers)] = rows[:, points[first]]
+        pair_scores[np.ix_(named_markers, named_markers)] = marker_scores[
+            :, points[first_rows]
+        ]
         for point in points[later_points].tolist():
-            pair_scores[named_markers, self.point_markers[point]] += rows[:, point]
+            pair_scores[named_markers, self.point_markers[point]] += marker_scores[
+                :, point
+            ]
         pair_scores[np.arange(marker_count), np.arange(marker_count)] = 0.0
         new_markers = np.arange(marker_count)
         for _ in range(MAX_SWAPS):
@@ -300,28 +315,30 @@ class PointNaming:
 
 
 def search_names(
-    best: PointNaming, rest_distances: FloatArray, seeds: Sequence[dict[int, int]]
+    best_naming: PointNaming,
+    rest_distances: FloatArray,
+    seeds: Sequence[dict[int, int]],
 ) -> PointNaming:
     """Search for names with more evidence by removing and reassigning names.
 
     A conflicting name is removed first; if that is not enough, all names around the two
     markers.
     """
-    best = _retry_doubtful(best, rest_distances)
-    best_total = best.total_evidence()
+    best_naming = _retry_doubtful(best_naming, rest_distances)
+    best_total = best_naming.total_evidence()
     # A marker without a point is often confused with another one.
     rng = np.random.default_rng(0)
     for _ in range(RESTART_COUNT):
-        scarce_markers = best.scarce_markers()
+        scarce_markers = best_naming.scarce_markers()
         if not len(scarce_markers):
             break
         centre_marker = int(rng.choice(scarce_markers))
         is_near = rest_distances[centre_marker] < rng.uniform(*RESTART_RADIUS)
         if len(scarce_markers) < len(rest_distances) and rng.random() < 0.5:
             is_near |= (rest_distances[scarce_markers] < DOUBT_RADIUS).any(axis=0)
-        bias_scale = rng.uniform(*RANDOM_BIAS) * best.visible_fraction[:, None]
-        bias = rng.normal(0.0, 1.0, best.scores.shape) * bias_scale
-        candidate = best.copy()
+        bias_scale = rng.uniform(*RANDOM_BIAS) * best_naming.visible_fraction[:, None]
+        bias = rng.normal(0.0, 1.0, best_naming.scores.shape) * bias_scale
+        candidate = best_naming.copy()
         # Sometimes restart from scratch with another group.
         has_seed = rng.random() < SCRATCH_PROBABILITY
         seed = seeds[int(rng.integers(len(seeds)))] if has_seed else {}
@@ -329,34 +346,36 @@ def search_names(
         candidate.improve(-np.inf if seed else best_total)
         candidate_total = candidate.total_evidence()
         if candidate_total > best_total + MIN_EVIDENCE_GAIN:
-            best = _retry_doubtful(candidate, rest_distances)
-            best_total = best.total_evidence()
-    return best
+            best_naming = _retry_doubtful(candidate, rest_distances)
+            best_total = best_naming.total_evidence()
+    return best_naming
 
 
-def _retry_doubtful(best: PointNaming, rest_distances: FloatArray) -> PointNaming:
+def _retry_doubtful(
+    best_naming: PointNaming, rest_distances: FloatArray
+) -> PointNaming:
     """Rename the most doubtful points and those around them while evidence grows."""
-    best.improve()
-    best_total = best.total_evidence()
+    best_naming.improve()
+    best_total = best_naming.total_evidence()
     tried_moves: set[tuple[int, int]] = set()
     for _ in range(MAX_RENAME_TRIALS):
-        move = best.most_doubtful_point(tried_moves)
+        move = best_naming.most_doubtful_point(tried_moves)
         if move is None:
             break
         tried_moves.add(move)
         point, marker = move
         is_nearby = rest_distances[marker] < DOUBT_RADIUS
-        if best.point_markers[point] >= 0:
-            is_nearby |= rest_distances[best.point_markers[point]] < DOUBT_RADIUS
+        if best_naming.point_markers[point] >= 0:
+            is_nearby |= rest_distances[best_naming.point_markers[point]] < DOUBT_RADIUS
         for is_reassigned in (np.zeros(len(rest_distances), bool), is_nearby):
-            candidate = best.copy()
+            candidate = best_naming.copy()
             candidate.force_name(point, marker, is_reassigned)
             candidate.improve(best_total)
             candidate_total = candidate.total_evidence()
             if candidate_total > best_total + MIN_EVIDENCE_GAIN:
-                best, best_total = candidate, candidate_total
+                best_naming, best_total = candidate, candidate_total
                 break
-    return best
+    return best_naming
 
 
 def compute_pair_evidence(
@@ -368,8 +387,8 @@ def compute_pair_evidence(
     """
     point_count, marker_count = len(overlap), len(rest_distances)
     # Single precision: the table is large, and evidence is not more precise.
-    shape = (point_count, point_count, marker_count, marker_count)
-    pair_scores: Any = np.zeros(shape, np.float32)
+    table_shape = (point_count, point_count, marker_count, marker_count)
+    pair_scores: Any = np.zeros(table_shape, np.float32)
     for point in range(point_count - 1):
         later_points = slice(point + 1, point_count)
         evidence = rest_evidence(
@@ -410,9 +429,9 @@ def compute_swap_gains(
 def find_swaps(rest_distances: FloatArray) -> list[tuple[IntArray, IntArray]]:
     """Return name swaps to try: markers ``(N, K)``, and their new names."""
     is_near = rest_distances < SWAP_DISTANCE
-    first, second = np.triu_indices(len(rest_distances), 1)
-    marker_pairs = np.stack([first, second], axis=1)
-    close_pairs = marker_pairs[is_near[first, second]]
+    first_markers, second_markers = np.triu_indices(len(rest_distances), 1)
+    marker_pairs = np.stack([first_markers, second_markers], axis=1)
+    close_pairs = marker_pairs[is_near[first_markers, second_markers]]
     first_pair, second_pair = np.triu_indices(len(close_pairs), 1)
     double_pairs = np.concatenate(
         [close_pairs[first_pair], close_pairs[second_pair]], axis=1

@@ -89,9 +89,11 @@ class MarkerGap:
         distance = np.where(is_before, gap.start - frames, frames - gap.stop + 1)
         dense_frames = frames[distance <= DENSE_FRAMES]
         other_frames = frames[distance > DENSE_FRAMES]
-        count = MAX_TRAINING_FRAMES - len(dense_frames)
-        if len(other_frames) > count:
-            rows = np.linspace(0, len(other_frames) - 1, count).astype(np.int64)
+        max_other_frames = MAX_TRAINING_FRAMES - len(dense_frames)
+        if len(other_frames) > max_other_frames:
+            rows = np.linspace(0, len(other_frames) - 1, max_other_frames).astype(
+                np.int64
+            )
             other_frames = other_frames[rows]
         return np.sort(np.concatenate([dense_frames, other_frames]))
 
@@ -117,16 +119,18 @@ def predict_from_markers(gap: MarkerGap) -> Prediction | None:
         return None
     frames = gap.with_gap_frames(training)
     predictions = []
-    for count in AXES_MARKERS:
-        if count <= len(neighbours):
+    for axes_marker_count in AXES_MARKERS:
+        if axes_marker_count <= len(neighbours):
             relative_path, pose, to_world = _in_neighbour_axes(
-                gap, frames, neighbours, count
+                gap, frames, neighbours, axes_marker_count
             )
-            best = _best_prediction(
-                gap, relative_path, pose, frames, DEVIATION_KERNELS, count
+            prediction = _best_prediction(
+                gap, relative_path, pose, frames, DEVIATION_KERNELS, axes_marker_count
             )
-            predictions.append(replace(best, positions=to_world(best.positions)))
-    return min(predictions, key=lambda best: best.error)
+            predictions.append(
+                replace(prediction, positions=to_world(prediction.positions))
+            )
+    return min(predictions, key=lambda prediction: prediction.error)
 
 
 def _best_prediction(
@@ -140,11 +144,13 @@ def _best_prediction(
     """Return the prediction with the smallest cross-validation error of all kernels.
 
     relative_path: Marker positions in moving axes ``(F, 3)``, visible in all frames but
-    those of the gap, which are last. pose_points: Other markers in these axes, the
-    most rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
+    those of the gap, which are last. pose: Other markers in these axes, the most
+    rigid first ``(F, K, 3)``. min_markers: Minimum number of pose markers, if
     there are any.
     """
-    known = relative_path[: len(frames) - (gap.frames.stop - gap.frames.start)]
+    known_positions = relative_path[
+        : len(frames) - (gap.frames.stop - gap.frames.start)
+    ]
     best_prediction: Prediction | None = None
     for pose_marker_count in POSE_MARKERS:
         if pose_marker_count > pose.shape[1]:
@@ -152,15 +158,20 @@ def _best_prediction(
         pose_features = pose[:, : max(pose_marker_count, min_markers)].reshape(
             len(frames), -1
         )
-        for length_scale, (deviation, time) in product(
+        for length_scale, (deviation, time_scale) in product(
             LENGTH_SCALES, deviation_kernels
         ):
             if not pose_marker_count and length_scale != LENGTH_SCALES[0]:
                 continue
             kernel = _covariance(
-                pose_features, frames / gap.rate, length_scale, deviation, time, known
+                pose_features,
+                frames / gap.rate,
+                length_scale,
+                deviation,
+                time_scale,
+                known_positions,
             )
-            error, values = _predict_gap(known, kernel, frames, gap.frames)
+            error, values = _predict_gap(known_positions, kernel, frames, gap.frames)
             if best_prediction is None or error < best_prediction.error:
                 best_prediction = Prediction(values, error)
     assert best_prediction is not None
@@ -198,17 +209,17 @@ def predict_from_parent_joint(
         )
         neighbour_offsets = positions[frames][:, neighbours] - origin[:, None]
         pose = np.einsum("fji,fkj->fki", rotation, neighbour_offsets)
-        best = _best_prediction(gap, relative_path, pose, frames, LOOSE_KERNELS)
-        path = np.einsum("fij,fj->fi", rotation[known_count:], best.positions)
-        predictions.append(replace(best, positions=path + origin[known_count:]))
-    return min(predictions, key=lambda best: best.error)
+        prediction = _best_prediction(gap, relative_path, pose, frames, LOOSE_KERNELS)
+        path = np.einsum("fij,fj->fi", rotation[known_count:], prediction.positions)
+        predictions.append(replace(prediction, positions=path + origin[known_count:]))
+    return min(predictions, key=lambda prediction: prediction.error)
 
 
 def _rotate_towards(parent_rotations: FloatArray, directions: FloatArray) -> FloatArray:
     """Turn axes ``(F, 3, 3)`` by the shortest arc so that they follow a direction.
 
-    directions: In the world ``(F, 3)``. Their mean in the axes is where they point
-    after that.
+    directions: In the world ``(F, 3)``. In the turned axes they all point where they
+    point on average in the given ones.
     """
     local_directions = np.einsum("fji,fj->fi", parent_rotations, directions)
     local_directions /= np.linalg.norm(local_directions, axis=1, keepdims=True)
@@ -231,9 +242,9 @@ def _rotate_towards(parent_rotations: FloatArray, directions: FloatArray) -> Flo
 def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Prediction:
     """Predict a marker in a gap from its position on a solved skeleton.
 
-    They are the marker's positions on the skeleton plus an offset: a Gaussian process
-    over time, in the frame of its joint, that joins the ends. Amplitude and speed of
-    skin motion are those with the least cross-validation error.
+    The offset from that position is predicted by a Gaussian process over time, in the
+    frame of the marker's joint, that joins the ends. Amplitude and speed of skin
+    motion are those with the least cross-validation error.
     """
     marker, training = gap.marker, gap.training_frames(np.zeros(0, np.int64))
     frames = gap.with_gap_frames(training)
@@ -247,9 +258,11 @@ def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Predicti
     correction = np.zeros((gap.frames.stop - gap.frames.start, 3))
     least_error = np.inf
     no_pose = np.zeros((len(frames), 0))
-    for deviation, time in SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ():
+    for deviation, time_scale in (
+        SKIN_KERNELS if known_count >= MIN_TRAINING_FRAMES else ()
+    ):
         kernel = _covariance(
-            no_pose, frames / gap.rate, LENGTH_SCALES[0], deviation, time, offsets
+            no_pose, frames / gap.rate, LENGTH_SCALES[0], deviation, time_scale, offsets
         )
         error, values = _predict_gap(offsets, kernel, frames, gap.frames)
         if error < least_error:
@@ -262,15 +275,17 @@ def predict_from_skeleton(skeleton: SkeletonMarkers, gap: MarkerGap) -> Predicti
 
 
 def _in_neighbour_axes(
-    gap: MarkerGap, frames: IntArray, neighbours: IntArray, count: int
+    gap: MarkerGap, frames: IntArray, neighbours: IntArray, axes_marker_count: int
 ) -> tuple[FloatArray, FloatArray, Callable[[FloatArray], FloatArray]]:
     """Return the marker and its neighbours in axes that follow the nearest ones.
 
     The last result maps positions in these axes in the gap back to the world.
     """
     neighbour_positions = gap.positions[frames][:, neighbours]
-    shape = mean_shape(neighbour_positions[:, :count])
-    rotation, shift = fit_shape(neighbour_positions[:, :count], shape)
+    neighbour_shape = mean_shape(neighbour_positions[:, :axes_marker_count])
+    rotation, shift = fit_shape(
+        neighbour_positions[:, :axes_marker_count], neighbour_shape
+    )
     pose = np.einsum("fji,fkj->fki", rotation, neighbour_positions - shift[:, None])
     offset = gap.positions[frames, gap.marker] - shift
     relative_path = np.einsum("fji,fj->fi", rotation, offset)
@@ -284,7 +299,7 @@ def _in_neighbour_axes(
 
 
 def _predict_gap(
-    known: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
+    known_positions: FloatArray, kernel: FloatArray, frames: IntArray, gap: slice
 ) -> tuple[float, FloatArray]:
     """Return the cross-validation error [m] and the positions in the gap ``(G, 3)``.
 
@@ -292,8 +307,8 @@ def _predict_gap(
     """
     from scipy.linalg import cho_factor, cho_solve
 
-    known_count = len(known)
-    mean = known.mean(axis=0)
+    known_count = len(known_positions)
+    mean = known_positions.mean(axis=0)
     # Rounding of outlying samples exceeds the noise.
     variance = max(
         MARKER_NOISE**2,
@@ -301,7 +316,7 @@ def _predict_gap(
     )
     cholesky_factor = cho_factor(kernel[:known_count] + variance * np.eye(known_count))
     inverse = cho_solve(cholesky_factor, np.eye(known_count))
-    known_weights = inverse @ (known - mean)
+    known_weights = inverse @ (known_positions - mean)
     gap_positions = kernel[known_count:] @ known_weights + mean
     length = gap.stop - gap.start
     training = frames[:known_count]
@@ -335,17 +350,20 @@ def _covariance(
     times: FloatArray,
     length_scale: float,
     deviation: float,
-    time: float,
-    known: FloatArray,
+    time_scale: float,
+    known_positions: FloatArray,
 ) -> FloatArray:
     """Return the covariance of all F frames with the K known ones ``(F, K)`` [m^2].
 
     It is the sum of a kernel over the pose and a Matérn kernel over time.
     """
-    known_count = len(known)
-    variance = max(float(((known - known.mean(axis=0)) ** 2).mean()), MARKER_NOISE**2)
+    known_count = len(known_positions)
+    variance = max(
+        float(((known_positions - known_positions.mean(axis=0)) ** 2).mean()),
+        MARKER_NOISE**2,
+    )
     distance = np.abs(times[:, None] - times[None, :known_count])
-    lag = np.sqrt(5.0) * distance / time
+    lag = np.sqrt(5.0) * distance / time_scale
     time_covariance = deviation**2 * (1.0 + lag + lag**2 / 3.0) * np.exp(-lag)
     centred_pose = pose - pose[:known_count].mean(axis=0)
     pose_spread = np.sqrt((centred_pose[:known_count] ** 2).sum(axis=1).mean())
@@ -353,7 +371,7 @@ def _covariance(
     products = features @ features[:known_count].T
     if length_scale:
         norms = (features**2).sum(axis=1)
-        squares = norms[:, None] + norms[None, :known_count] - 2.0 * products
-        squares = np.maximum(squares, 0.0)
-        products = products + np.exp(-0.5 * squares / length_scale**2)
+        squared_distances = norms[:, None] + norms[None, :known_count] - 2.0 * products
+        squared_distances = np.maximum(squared_distances, 0.0)
+        products = products + np.exp(-0.5 * squared_distances / length_scale**2)
     return np.asarray(variance * products + time_covariance)

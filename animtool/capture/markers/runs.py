@@ -22,7 +22,7 @@ MAX_PAIR_COST = 9.0
 HALF_WEIGHT_SPREAD = 0.02
 # Frames sampled of a run.
 SAMPLED_FRAME_COUNT = 24
-# Mean cost above which a run is no marker: ghosts exceed 5.5, markers stay below 2.
+# Mean cost above which a run is not a marker: ghosts exceed 5.5, markers stay below 2.
 MAX_MARKER_COST = 4.0
 # Minimum margin over the second best name for an early assignment.
 MIN_MARGIN = 1.5
@@ -65,8 +65,8 @@ class TrackletLabels:
 
     def marker_paths(self) -> FloatArray:
         """Return each marker's positions from its runs ``(F, M, 3)``, NaN in gaps."""
-        ids, count = self.tracklets.ids, len(self.rest_distances)
-        return positions_by_column(self.positions, ids, self.run_markers, count)
+        ids, marker_count = self.tracklets.ids, len(self.rest_distances)
+        return positions_by_column(self.positions, ids, self.run_markers, marker_count)
 
     def name_runs(self) -> None:
         """Name the remaining runs, the clearest first."""
@@ -145,7 +145,7 @@ class TrackletLabels:
         return begin, end, self.tracklets.trajectory(self.positions, run)
 
     def _marker_costs(self, run: int) -> FloatArray:
-        """Return each marker's cost for a run ``(M,)``; infinite if it has a point."""
+        """Return each marker's cost for a run ``(M,)``, infinite if it is visible."""
         begin, end, path = self._run_positions(run)
         costs = self._shape_costs(path, begin, end) + self._gap_costs(path, begin, end)
         costs[np.isfinite(self.marker_positions[begin:end, :, 0]).any(axis=0)] = np.inf
@@ -197,7 +197,7 @@ class TrackletLabels:
 def _merge_known_distances(
     rest_distances: FloatArray, take_distances: MarkerDistances
 ) -> MarkerDistances:
-    """Fill in distances that a take lacks with those at rest."""
+    """Return a take's distances, with those at rest where the take has none."""
     is_known = np.isfinite(take_distances.mean)
     mean = np.where(is_known, take_distances.mean, rest_distances)
     return MarkerDistances(

@@ -87,7 +87,7 @@ class SkeletonMarkers:
 
 
 def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> SkeletonMarkers:
-    """Solve a subject's skeleton to a take; return the markers as fixed to its joints.
+    """Solve a subject's skeleton to a take; return its markers as fixed to the joints.
 
     Bones and offsets are calibrated to the take, then its poses are solved.
     """
@@ -105,7 +105,7 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
     take_from_rig = up_from_up(model.rig.up, markers.up)
     marker_count = len(markers.names)
 
-    def to_take(
+    def to_take_axes(
         points: FloatArray, rotations: FloatArray
     ) -> tuple[FloatArray, FloatArray]:
         """Convert to the take's axes, with an entry for each marker of the take."""
@@ -119,19 +119,21 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
         )
 
     joint_positions = world.positions[:, model.joints]
-    positions, matrices = to_take(
+    positions, matrices = to_take_axes(
         joint_positions + rotated_offsets, world.rotations[:, model.joints]
     )
     parents = np.maximum(parent_of_joint[model.joints], 0)
-    origins, parent_matrices = to_take(joint_positions, world.rotations[:, parents])
+    origins, parent_matrices = to_take_axes(
+        joint_positions, world.rotations[:, parents]
+    )
     joints = np.full(marker_count, -1)
     joints[model.columns] = model.joints
     is_pose_determined = np.ones(len(markers), np.bool_)
     is_pose_determined[solve.score.sparse] = False
     notices = (*calibration.notices, *solve.notices)
-    hinges = {JointType.PIN, JointType.FIXED, JointType.PRISMATIC}
+    restricted_types = {JointType.PIN, JointType.FIXED, JointType.PRISMATIC}
     has_free_rotation = np.array(
-        [joint.type not in hinges for joint in model.rig.joints]
+        [joint.type not in restricted_types for joint in model.rig.joints]
     )
     return SkeletonMarkers(
         positions,
@@ -146,8 +148,10 @@ def solve_skeleton_markers(markers: Markers, subject: MarkerSubject) -> Skeleton
     )
 
 
-def _to_all_markers(values: FloatArray, columns: IntArray, count: int) -> FloatArray:
+def _to_all_markers(
+    values: FloatArray, columns: IntArray, marker_count: int
+) -> FloatArray:
     """Return values of all markers ``(F, M, …)`` from columns; others are NaN."""
-    all_values = np.full((len(values), count, *values.shape[2:]), np.nan)
+    all_values = np.full((len(values), marker_count, *values.shape[2:]), np.nan)
     all_values[:, columns] = values
     return all_values

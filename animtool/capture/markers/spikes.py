@@ -83,10 +83,10 @@ def _marker_spikes(path: FloatArray) -> list[tuple[int, int, float]]:
     if int(is_known.sum()) < 2 * SUPPORT_FRAMES + 1:
         return []
     path = np.where(is_known[:, None], path, 0.0)
-    roughness, noise = _noise_model(path, is_known)
+    roughness, noise_by_length = _noise_model(path, is_known)
     spikes: list[tuple[int, int, float]] = []
     for _ in range(MAX_SEARCHES):
-        new_spikes = _clearest_spikes(path, is_known, roughness, noise)
+        new_spikes = _clearest_spikes(path, is_known, roughness, noise_by_length)
         if not new_spikes:
             break
         spikes += new_spikes
@@ -96,7 +96,7 @@ def _marker_spikes(path: FloatArray) -> list[tuple[int, int, float]]:
 
 
 def _clearest_spikes(
-    path: FloatArray, is_known: BoolArray, roughness: float, noise: FloatArray
+    path: FloatArray, is_known: BoolArray, roughness: float, noise_by_length: FloatArray
 ) -> list[tuple[int, int, float]]:
     """Return first frame, last frame and size of spikes that do not overlap."""
     candidates = []
@@ -110,7 +110,7 @@ def _clearest_spikes(
         factor = np.where(
             _is_one_sided(is_known, starts, length), ONE_SIDED_FACTOR, 1.0
         )
-        sigma = noise[length - 1]
+        sigma = noise_by_length[length - 1]
         if local_levels is None:
             local_levels = _local_noise(starts, gain / (3.0 * sigma**2), len(path))
         local_scale = local_levels[starts]
@@ -122,13 +122,13 @@ def _clearest_spikes(
             score = float(strength[k]) - LENGTH_PENALTY * length
             candidates.append((-score, int(starts[k]), length, float(deviation[k])))
     candidates.sort()
-    sigma = noise[0] ** 2
+    variance = noise_by_length[0] ** 2
     is_used_frame = np.zeros(len(path), bool)
     spikes = []
     for _, first, length, size in candidates:
         if is_used_frame[first : first + length].any():
             continue
-        if not _is_gap_artifact(path, is_known, first, length, roughness, sigma):
+        if not _is_gap_artifact(path, is_known, first, length, roughness, variance):
             is_used_frame[
                 max(first - SUPPORT_FRAMES, 0) : first + length + SUPPORT_FRAMES
             ] = True
@@ -177,10 +177,10 @@ def _is_one_sided(is_known: BoolArray, starts: IntArray, length: int) -> BoolArr
 
 
 def _local_noise(
-    starts: IntArray, squared_residuals: FloatArray, count: int
+    starts: IntArray, squared_residuals: FloatArray, frame_count: int
 ) -> FloatArray:
-    """Return each frame's local noise variance over the typical one, at least 1."""
-    next_spans = np.searchsorted(starts, np.arange(count))
+    """Return each frame's ratio of local to typical noise variance, at least 1."""
+    next_spans = np.searchsorted(starts, np.arange(frame_count))
     window_start = np.maximum(next_spans - LOCAL_WINDOW_SPANS, 0)
     window_end = np.minimum(next_spans + LOCAL_WINDOW_SPANS, len(starts))
     padded_residuals = np.concatenate([squared_residuals, [np.inf]])
@@ -190,7 +190,9 @@ def _local_noise(
     window_rows = np.where(is_inside, window_rows, len(squared_residuals))
     windows = np.sort(padded_residuals[window_rows], axis=1)
     quantile_index = (LOCAL_QUANTILE * (window_end - window_start)).astype(np.int64)
-    levels = windows[np.arange(count), np.minimum(quantile_index, window_length - 1)]
+    levels = windows[
+        np.arange(frame_count), np.minimum(quantile_index, window_length - 1)
+    ]
     # That quantile of a chi-squared distribution with 3 degrees, over 3, is below 0.63.
     return np.maximum(np.where(np.isfinite(levels), levels / 0.63, 1.0), 1.0)
 

@@ -58,12 +58,12 @@ def repair_swaps(markers: Markers) -> tuple[Markers, list[Swap]]:
     which both move most smoothly and keep their typical distances to the others.
     """
     swaps: list[Swap] = []
-    count = len(markers.names)
-    if count < 2 or not markers.visible.any():
+    marker_count = len(markers.names)
+    if marker_count < 2 or not markers.visible.any():
         return markers, swaps
     rate = float(markers.clock.rate)
     positions = markers.positions.copy()
-    source_column = np.tile(np.arange(count), (len(markers), 1))
+    source_column = np.tile(np.arange(marker_count), (len(markers), 1))
     distances: MarkerDistances | None = None
     crossing_by_pair: dict[tuple[int, int], tuple[float, BoolArray]] = {}
     tested_pairs: set[tuple[int, int]] = set()
@@ -172,7 +172,11 @@ class _SwapPath:
 
 
 def _find_crossed_frames(
-    positions: FloatArray, a: int, b: int, rate: float, lengths: MarkerDistances
+    positions: FloatArray,
+    first_marker: int,
+    second_marker: int,
+    rate: float,
+    typical_distances: MarkerDistances,
 ) -> tuple[float, BoolArray]:
     """Find the frames in which two markers have each other's names ``(F,)``.
 
@@ -182,7 +186,7 @@ def _find_crossed_frames(
     best one is kept from frame to frame, with the last visible positions of both
     markers.
     """
-    pair_positions = positions[:, [a, b]]
+    pair_positions = positions[:, [first_marker, second_marker]]
     is_pair_visible = np.isfinite(pair_positions[..., 0])
     acceleration = _typical_acceleration(pair_positions, rate)
     predictions, tolerance, is_known = _expected_positions(
@@ -201,7 +205,9 @@ def _find_crossed_frames(
     paths = [initial_path, _SwapPath(NAME_CHANGE_COST, 1, (0,), [[], []])]
     points, is_visible = pair_positions.tolist(), is_pair_visible.tolist()
     for start, end in zip(event_frames, event_ends, strict=True):
-        shape_gain = _shape_gain(positions, a, b, start, end, lengths)
+        shape_gain = _shape_gain(
+            positions, first_marker, second_marker, start, end, typical_distances
+        )
         length = int(is_pair_visible[start:end].any(axis=1).sum())
         costs_by_state = (
             max(0.0, shape_gain),
@@ -254,8 +260,8 @@ def _typical_acceleration(pair_positions: FloatArray, rate: float) -> float:
     valid_differences = second_differences[np.isfinite(second_differences)]
     if not len(valid_differences):
         return DEFAULT_ACCELERATION
-    largest = ACCELERATION_FACTOR * np.median(valid_differences) * rate**2
-    return float(np.clip(largest, MIN_ACCELERATION, DEFAULT_ACCELERATION))
+    max_acceleration = ACCELERATION_FACTOR * np.median(valid_differences) * rate**2
+    return float(np.clip(max_acceleration, MIN_ACCELERATION, DEFAULT_ACCELERATION))
 
 
 def _position_cost(
@@ -289,32 +295,37 @@ def _position_cost(
 
 def _shape_gain(
     positions: FloatArray,
-    a: int,
-    b: int,
+    first_marker: int,
+    second_marker: int,
     start: int,
     end: int,
-    known_lengths: MarkerDistances,
+    typical_distances: MarkerDistances,
 ) -> float:
     """Return the log-likelihood gain of a swap from distances to other markers."""
     if end - start < MIN_SWAP_FRAMES:
         return 0.0
     frames = np.unique(np.linspace(start, end - 1, SHAPE_SAMPLES).astype(np.int64))
-    others = np.setdiff1d(np.arange(positions.shape[1]), (a, b))
+    others = np.setdiff1d(np.arange(positions.shape[1]), (first_marker, second_marker))
     gains = []
-    for marker, partner in ((a, b), (b, a)):
+    for marker, partner in (
+        (first_marker, second_marker),
+        (second_marker, first_marker),
+    ):
         offsets = positions[frames][:, others] - positions[frames, marker][:, None]
-        lengths = np.linalg.norm(offsets, axis=-1)
+        frame_distances = np.linalg.norm(offsets, axis=-1)
         costs = []
         for named_marker in (marker, partner):
-            spread = known_lengths.spread[named_marker, others]
-            mean = known_lengths.mean[named_marker, others]
-            deviation = (lengths - mean) / (DISTANCE_TOLERANCE + SPREAD_FACTOR * spread)
+            spread = typical_distances.spread[named_marker, others]
+            mean = typical_distances.mean[named_marker, others]
+            deviation = (frame_distances - mean) / (
+                DISTANCE_TOLERANCE + SPREAD_FACTOR * spread
+            )
             costs.append(np.minimum(deviation**2, 9.0))
         is_known = np.isfinite(costs[0] - costs[1])
         if is_known.any():
             scale = DISTANCE_TOLERANCE + np.minimum(
-                known_lengths.spread[marker, others],
-                known_lengths.spread[partner, others],
+                typical_distances.spread[marker, others],
+                typical_distances.spread[partner, others],
             )
             weight = np.where(is_known, (DISTANCE_TOLERANCE / scale) ** 2, 0.0)
             gain = np.where(is_known, costs[0] - costs[1], 0.0)

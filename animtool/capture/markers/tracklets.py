@@ -89,7 +89,8 @@ def _expected_positions(
 ) -> tuple[FloatArray, FloatArray]:
     """Extrapolate each run by one frame: positions ``(R, 3)``, and tolerances [m].
 
-    past_positions: The latest ``(R, 3, 3)``, newest first. run_ages: Number known.
+    past_positions: The latest ``(R, 3, 3)``, newest first. ages: How many of them are
+    known ``(R,)``.
     """
     current, previous, before_previous = np.moveaxis(past_positions, 1, 0)
     linear_prediction = 2.0 * current - previous
@@ -119,15 +120,18 @@ def _mutual_nearest(distances: FloatArray) -> tuple[IntArray, IntArray]:
         return np.zeros(0, np.int64), np.zeros(0, np.int64)
     nearest_point = distances.argmin(axis=1)
     nearest_run = distances.argmin(axis=0)
-    runs = np.flatnonzero(nearest_run[nearest_point] == np.arange(len(distances)))
-    points = nearest_point[runs]
-    nearest = distances[runs, points]
-    second_distance = np.minimum(
-        _second_smallest(distances)[runs], _second_smallest(distances.T)[points]
+    run_indices = np.flatnonzero(
+        nearest_run[nearest_point] == np.arange(len(distances))
     )
-    rival_distance = MIN_RIVAL_RATIO * np.maximum(nearest, EQUAL_DISTANCE)
-    is_clear = (nearest <= 1.0) & (second_distance > rival_distance)
-    return runs[is_clear], points[is_clear]
+    point_indices = nearest_point[run_indices]
+    nearest_distance = distances[run_indices, point_indices]
+    second_distance = np.minimum(
+        _second_smallest(distances)[run_indices],
+        _second_smallest(distances.T)[point_indices],
+    )
+    rival_distance = MIN_RIVAL_RATIO * np.maximum(nearest_distance, EQUAL_DISTANCE)
+    is_clear = (nearest_distance <= 1.0) & (second_distance > rival_distance)
+    return run_indices[is_clear], point_indices[is_clear]
 
 
 def _second_smallest(relative_distance: FloatArray) -> FloatArray:

@@ -64,7 +64,7 @@ def distinguish_twins(
     pair_scores = compute_pair_evidence(
         marker_distances(positions), overlap_fraction, rest_distances
     )
-    swaps = _drop_unrelated(find_swaps(rest_distances), rest_distances)
+    swaps = _without_unrelated_swaps(find_swaps(rest_distances), rest_distances)
     labels = np.arange(len(rest_shape))
     shape_cache: dict[tuple[int, ...], float] = {}
     doubtful_swaps: list[NameSwap] = []
@@ -121,10 +121,10 @@ def is_swapped(
     return SHAPE_EVIDENCE * shape_evidence > MIN_SPAN_GAIN
 
 
-def _drop_unrelated(
+def _without_unrelated_swaps(
     swaps: list[tuple[IntArray, IntArray]], rest_distances: FloatArray
 ) -> list[tuple[IntArray, IntArray]]:
-    """Drop double swaps of two pairs that do not affect each other's distances."""
+    """Return swaps without the double ones of pairs that are far from each other."""
     near_swaps = []
     for old, new in swaps:
         is_near = np.ones(len(old), bool)
@@ -144,7 +144,7 @@ def _shape_evidence(
     other_labels: IntArray,
     cache: dict[tuple[int, ...], float],
 ) -> float:
-    """Return the mean log ratio of shape errors, before over after a swap."""
+    """Return the mean log ratio of the shape errors before a swap to those after it."""
     distances = rest_distances[current_labels[changed_markers]][:, current_labels].min(
         axis=0
     )

@@ -195,7 +195,7 @@ class _CalibrationState:
         return ordered_positions
 
     def _size_ratio(self) -> float:
-        """Return the subject's size over the rig's, from the static take; else 1."""
+        """Return subject size over rig size in the static take; 1 without one."""
         if self.static_count == 0:
             return 1.0
         frames = self.positions[: self.static_count]
@@ -323,8 +323,11 @@ class _CalibrationState:
     def _prior_equations(self) -> tuple[FloatArray, FloatArray]:
         """Return matrix and gradient of the priors on bone scales and offsets."""
         bone_count = len(self.bone_joints)
-        size = bone_count + self.offsets.size
-        matrix, gradient = np.zeros((size, size)), np.zeros(size)
+        parameter_count = bone_count + self.offsets.size
+        matrix, gradient = (
+            np.zeros((parameter_count, parameter_count)),
+            np.zeros(parameter_count),
+        )
         # Bones vary about an overall scale, which varies about 1 and is summed out.
         precision = np.eye(bone_count) / BONE_DEVIATION**2
         prior_sum = bone_count / BONE_DEVIATION**2 + OVERALL_DEVIATION**-2.0
@@ -334,13 +337,13 @@ class _CalibrationState:
         gradient[:bone_count] = -precision @ deviation
         for left_bone, right_bone in self._side_pairs():
             difference = self.scales[left_bone] - self.scales[right_bone]
-            for a, sign in ((left_bone, 1.0), (right_bone, -1.0)):
-                matrix[a, a] += SIDE_DEVIATION**-2.0
-                gradient[a] -= sign * difference / SIDE_DEVIATION**2
+            for bone, sign in ((left_bone, 1.0), (right_bone, -1.0)):
+                matrix[bone, bone] += SIDE_DEVIATION**-2.0
+                gradient[bone] -= sign * difference / SIDE_DEVIATION**2
             matrix[left_bone, right_bone] -= SIDE_DEVIATION**-2.0
             matrix[right_bone, left_bone] -= SIDE_DEVIATION**-2.0
         # Markers scale with their bones; the prior is on the remaining offset, d = A p.
-        offset_map = np.zeros((self.offsets.size, size))
+        offset_map = np.zeros((self.offsets.size, parameter_count))
         offset_map[:, bone_count:] = np.eye(self.offsets.size)
         bone_weights = self._bone_weights()[:, None, :]
         offset_terms = bone_weights * self.initial_offsets[:, :, None]
@@ -375,11 +378,11 @@ class _CalibrationState:
         rig = self.model.rig
         stated_pairs = [(j.name, j.mirror) for j in rig.joints if j.mirror]
         partners = pair_sides(rig.names, rig.parents, stated_pairs).partners
-        bone_of = {j: b for b, j in enumerate(self.bone_joints)}
+        bone_by_joint = {j: b for b, j in enumerate(self.bone_joints)}
         return [
-            (bone_of[j], bone_of[k])
+            (bone_by_joint[j], bone_by_joint[k])
             for j, k in enumerate(partners.tolist())
-            if j < k and j in bone_of and k in bone_of
+            if j < k and j in bone_by_joint and k in bone_by_joint
         ]
 
     def build_result(self, rounds: int, has_converged: bool) -> Calibration:
@@ -387,11 +390,11 @@ class _CalibrationState:
         rig = self.model.rig
         scales = np.ones(len(rig.joints))
         scales[self.bone_joints] = self.scales
-        offset_of = {m.name: m.offset for m in self.model.template.markers}
+        offset_by_marker = {m.name: m.offset for m in self.model.template.markers}
         shifts = np.full(len(self.template.markers), np.nan)
         markers = list(self.template.markers)
         for i, marker in enumerate(markers):
-            offset = offset_of.get(marker.name)
+            offset = offset_by_marker.get(marker.name)
             if offset is not None:
                 shifts[i] = np.linalg.norm(np.subtract(offset, marker.offset))
                 markers[i] = replace(marker, offset=offset)
@@ -433,9 +436,9 @@ def rig_without_limits(model: MarkerProblem) -> Rig:
         marker_counts[rig.upwards(j)] += 1
     joints = tuple(
         replace(joint, limits=None)
-        if joint.type is JointType.PIN and count >= MIN_MARKERS
+        if joint.type is JointType.PIN and marker_count >= MIN_MARKERS
         else joint
-        for joint, count in zip(rig.joints, marker_counts.tolist(), strict=True)
+        for joint, marker_count in zip(rig.joints, marker_counts.tolist(), strict=True)
     )
     return replace(rig, joints=joints)
 

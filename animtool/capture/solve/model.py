@@ -65,8 +65,8 @@ class MarkerProblem:
         """
         rig = self.rig
         coordinates = np.zeros((len(positions), self.problem.coordinates))
-        slices = coordinate_slices(rig)
-        for joint_columns, joint in zip(slices, rig.joints, strict=True):
+        slice_by_joint = coordinate_slices(rig)
+        for joint_columns, joint in zip(slice_by_joint, rig.joints, strict=True):
             if joint.type in {JointType.BALL, JointType.FREE}:
                 coordinates[:, joint_columns.stop - 1] = 1.0
         roots = [j for j in rig.roots if rig.joints[j].type is JointType.FREE]
@@ -88,7 +88,7 @@ class MarkerProblem:
         world_rotation = so3.multiply(rotation, rest_rotation)
         world_position = so3.rotate(rotation, rest_position) + translation
         inverse_rest = so3.conjugate(rest_rotation)
-        joint_columns = slices[root]
+        joint_columns = slice_by_joint[root]
         coordinates[:, joint_columns.start : joint_columns.start + 3] = so3.rotate(
             inverse_rest, world_position - rest_position
         )

@@ -65,11 +65,13 @@ class SolveScore:
 
     def __post_init__(self) -> None:
         """Allocate arrays for the residuals of all frames, filled by `add`."""
-        shape = self.frames, len(self.names)
-        self._residuals = np.zeros(shape)
-        self._target_indices = np.broadcast_to(np.arange(shape[1]), shape).copy()
-        self._is_visible = np.zeros(shape, np.bool_)
-        self._is_restarted = np.zeros(shape[0], np.bool_)
+        array_shape = self.frames, len(self.names)
+        self._residuals = np.zeros(array_shape)
+        self._target_indices = np.broadcast_to(
+            np.arange(array_shape[1]), array_shape
+        ).copy()
+        self._is_visible = np.zeros(array_shape, np.bool_)
+        self._is_restarted = np.zeros(array_shape[0], np.bool_)
 
     def add(
         self,
@@ -79,7 +81,7 @@ class SolveScore:
         is_restarted: BoolArray,
         is_visible: BoolArray,
     ) -> None:
-        """Record the fit of frames ``(N, E)`` from frame ``first`` on."""
+        """Record the fits ``(N, E)`` of N frames, the first of which is ``first``."""
         frames = slice(first, first + len(residuals))
         self._residuals[frames], self._target_indices[frames] = (
             residuals,
@@ -97,11 +99,11 @@ class SolveScore:
             (self._target_indices >= 0) & (self._target_indices != marker_indices),
         )
         is_fitting = is_visible & (self._residuals <= ROBUST_DEVIATIONS * self.noise)
-        squares = np.where(is_fitting, self._residuals**2, 0.0)
+        squared_residuals = np.where(is_fitting, self._residuals**2, 0.0)
         with np.errstate(invalid="ignore", divide="ignore"):
-            self.rms = np.sqrt(squares.sum(axis=1) / is_fitting.sum(axis=1))
-            marker_rms = np.sqrt(squares.sum(axis=0) / is_fitting.sum(axis=0))
-            self.total = float(np.sqrt(squares.sum() / is_fitting.sum()))
+            self.rms = np.sqrt(squared_residuals.sum(axis=1) / is_fitting.sum(axis=1))
+            marker_rms = np.sqrt(squared_residuals.sum(axis=0) / is_fitting.sum(axis=0))
+            self.total = float(np.sqrt(squared_residuals.sum() / is_fitting.sum()))
         marker_counts = is_visible.sum(axis=1)
         self.sparse = np.flatnonzero(marker_counts < MIN_MARKERS)
         is_poor = is_fitting.sum(axis=1) < MIN_FITTED_FRACTION * marker_counts

@@ -135,19 +135,19 @@ class MarkerSolve:
         past_count = 0 if previous_poses is None else len(previous_poses)
         lookahead_end = min(end + LOOKAHEAD_FRAMES, len(self.positions))
         positions = self.positions[first - past_count : lookahead_end]
-        starts = self.model.start_poses(positions)
+        start_poses = self.model.start_poses(positions)
         if previous_poses is not None:
-            starts[:past_count] = previous_poses
+            start_poses[:past_count] = previous_poses
         result = fit(
             self.model.problem,
             self.model.targets(positions, self.noise),
-            starts,
+            start_poses,
             FitOptions(
                 float(self.markers.clock.rate),
                 self.options.acceleration,
                 robust=ROBUST_DEVIATIONS,
             ),
-            path=None if previous_poses is None else starts,
+            path=None if previous_poses is None else start_poses,
             first=past_count,
         )
         window_frames = slice(past_count, past_count + end - first)
@@ -183,17 +183,19 @@ class MarkerSolve:
     def _warn_of_frames(self) -> None:
         """Warn of frames with too few markers (SOL101) or few that fit (SOL102)."""
         clock = self.markers.clock
-        for code, indices, problem in (
+        for code, frame_indices, problem in (
             ("SOL101", self.score.sparse, f"fewer than {MIN_MARKERS} markers are seen"),
             ("SOL102", self.score.poor, "markers do not match"),
         ):
-            if not len(indices):
+            if not len(frame_indices):
                 continue
             frame_numbers = [
-                math.floor(clock.start + clock.step * f) for f in indices.tolist()
+                math.floor(clock.start + clock.step * f) for f in frame_indices.tolist()
             ]
             frames_text = frame_spans(frame_numbers)
-            message = f"{problem} in {counted(len(indices), 'frame')}: {frames_text}"
+            message = (
+                f"{problem} in {counted(len(frame_indices), 'frame')}: {frames_text}"
+            )
             hint = "their poses are taken from nearby frames"
             if code == "SOL102":
                 hint = "labels may be wrong there, or the rig may not match the subject"
@@ -269,19 +271,21 @@ def _residual_notices(names: Sequence[str], noise: FloatArray) -> list[Fault]:
     A few markers that are much farther off than the others likely have swapped names,
     which calibration would not correct.
     """
-    median = float(np.median(noise))
-    is_far = (noise > MISPLACED_RATIO * median) & (noise > MAX_TYPICAL_RESIDUAL)
+    median_noise = float(np.median(noise))
+    is_far = (noise > MISPLACED_RATIO * median_noise) & (noise > MAX_TYPICAL_RESIDUAL)
     far_markers = sorted(np.flatnonzero(is_far).tolist(), key=lambda i: -noise[i])
     if far_markers:
         far_text = listed(
             [f"{names[i]} by {length_text(noise[i])}" for i in far_markers], 6
         )
         message = f"markers are off their positions on the rig: {far_text}; the others "
-        message += f"by {length_text(median)}"
+        message += f"by {length_text(median_noise)}"
         hint = "are their names swapped, or their offsets wrong? correct that first: "
         hint += f"{argument('calibrate', True)} would keep it"
-    elif median > MAX_TYPICAL_RESIDUAL:
-        message = f"markers are {length_text(median)} off their positions on the rig"
+    elif median_noise > MAX_TYPICAL_RESIDUAL:
+        message = (
+            f"markers are {length_text(median_noise)} off their positions on the rig"
+        )
         hint = f"{argument('calibrate', True)} fits bones and offsets to the subject"
     else:
         return []
@@ -293,10 +297,12 @@ def static_notices(names: Sequence[str], positions: FloatArray) -> list[Fault]:
     if len(positions) < MIN_MOVING_FRAMES:
         return []
     is_known: BoolArray = np.asarray(np.isfinite(positions).all(axis=2))
-    lowest, highest = (
+    padded_for_min, padded_for_max = (
         np.where(is_known[..., None], positions, limit) for limit in (np.inf, -np.inf)
     )
-    extents = np.linalg.norm(highest.max(axis=0) - lowest.min(axis=0), axis=1)
+    extents = np.linalg.norm(
+        padded_for_max.max(axis=0) - padded_for_min.min(axis=0), axis=1
+    )
     is_tested = is_known.sum(axis=0) >= MIN_MOVING_FRAMES
     is_static = is_tested & (extents < STATIC_EXTENT)
     if not is_static.any():

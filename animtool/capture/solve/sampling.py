@@ -28,14 +28,17 @@ MIN_SWAP_RESIDUAL, MAX_SWAP_RATIO = 0.02, 0.4
 
 def fullest_frames(positions: FloatArray, count: int) -> IntArray:
     """Return the frame with the most markers from each of ``count`` equal intervals."""
-    counts = visibility_mask(positions).sum(axis=1)
+    marker_counts = visibility_mask(positions).sum(axis=1)
     intervals = np.array_split(np.arange(len(positions)), min(count, len(positions)))
     best_frames = [
-        interval[int(np.argmax(counts[interval]))]
+        interval[int(np.argmax(marker_counts[interval]))]
         for interval in intervals
         if len(interval)
     ]
-    return np.array([f for f in best_frames if counts[f] >= MIN_MARKERS], np.int64)
+    return np.array(
+        [frame for frame in best_frames if marker_counts[frame] >= MIN_MARKERS],
+        np.int64,
+    )
 
 
 def independent_poses(
@@ -61,13 +64,13 @@ def residual_noise(residuals: FloatArray, min_noise: float) -> FloatArray:
     such as the only marker on its joints, is assumed to be half as noisy as the others.
     """
     is_known = np.isfinite(residuals)
-    median = min_noise
+    median_noise = min_noise
     if is_known.any():
-        median = float(np.median(residuals[is_known])) / MEDIAN_LENGTH
-    noise = np.full(residuals.shape[1], median)
+        median_noise = float(np.median(residuals[is_known])) / MEDIAN_LENGTH
+    noise = np.full(residuals.shape[1], median_noise)
     is_measured = is_known.sum(axis=0) >= MIN_VISIBLE_FRAMES
     noise[is_measured] = np.nanmedian(residuals[:, is_measured], axis=0) / MEDIAN_LENGTH
-    return np.asarray(np.maximum(noise, max(min_noise, median / 2)))
+    return np.asarray(np.maximum(noise, max(min_noise, median_noise / 2)))
 
 
 def estimate_noise(

@@ -94,34 +94,34 @@ def load_template(path: Path | str, rig: Path | None = None) -> MarkerTemplate:
 
 def _check_names(document: Document, model: MarkersModel) -> None:
     """Record a fault for each name or alias that another marker has (MKT002)."""
-    index_of_name: dict[str, int] = {}
+    index_by_name: dict[str, int] = {}
     for i, marker in enumerate(model.marker_set):
-        if marker.name in index_of_name:
-            other_location = f"marker_set[{index_of_name[marker.name]}]"
+        if marker.name in index_by_name:
+            other_location = f"marker_set[{index_by_name[marker.name]}]"
             message = f"two markers are called {marker.name!r}"
             hint = f"rename it here, or in {other_location}"
             document.add("MKT002", ("marker_set", i, "name"), message, hint)
-        index_of_name.setdefault(marker.name, i)
-    index_of_alias: dict[str, int] = {}
+        index_by_name.setdefault(marker.name, i)
+    index_by_alias: dict[str, int] = {}
     for i, marker in enumerate(model.marker_set):
         for k, alias in enumerate(marker.aliases):
             location: Location = ("marker_set", i, "aliases", k)
             message, hint = "", "remove the alias"
-            if alias in index_of_name:
-                other_location = f"marker_set[{index_of_name[alias]}]"
+            if alias in index_by_name:
+                other_location = f"marker_set[{index_by_name[alias]}]"
                 message = f"the alias {alias!r} is the name of {other_location}"
-                if index_of_name[alias] == i:
+                if index_by_name[alias] == i:
                     message = f"the alias {alias!r} is the name of the marker itself"
-            elif index_of_alias.get(alias) == i:
+            elif index_by_alias.get(alias) == i:
                 message = f"the alias {alias!r} is listed twice"
                 hint = "remove one of them"
-            elif alias in index_of_alias:
-                other_location = f"marker_set[{index_of_alias[alias]}]"
+            elif alias in index_by_alias:
+                other_location = f"marker_set[{index_by_alias[alias]}]"
                 message = f"the alias {alias!r} is an alias of {other_location} too"
                 hint = "remove one of them"
             if message:
                 document.add("MKT002", location, message, hint)
-            index_of_alias.setdefault(alias, i)
+            index_by_alias.setdefault(alias, i)
 
 
 def parse_template(
@@ -160,21 +160,21 @@ def _warn_of_offsets(
     """Warn if an offset is above `MAX_OFFSET`, or all are tiny (MKT003)."""
     sizes = [max(map(abs, marker.offset)) for marker in markers]
     farthest = max(range(len(sizes)), key=sizes.__getitem__)
-    largest = sizes[farthest]
-    if not largest:
+    max_size = sizes[farthest]
+    if not max_size:
         return
-    nearest_unit, converted = likely_unit(largest, unit, TYPICAL_OFFSET)
+    nearest_unit, converted_size = likely_unit(max_size, unit, TYPICAL_OFFSET)
     hint = f"write units: {{length: {nearest_unit}}} in the template: then it is "
-    hint += length_text(converted)
-    if largest > MAX_OFFSET:
-        message = f"{markers[farthest].name!r} is {length_text(largest)} off its joint"
+    hint += length_text(converted_size)
+    if max_size > MAX_OFFSET:
+        message = f"{markers[farthest].name!r} is {length_text(max_size)} off its joint"
         count = sum(size > MAX_OFFSET for size in sizes)
         if count > 1:
             message += f"; {count} markers are more than {MAX_OFFSET:g} m off theirs"
         if nearest_unit is unit:
             hint = f"are the offsets in {unit}?"
-    elif largest < MIN_OFFSET and sum(map(bool, sizes)) >= MIN_OFFSET_MARKERS:
-        message = f"all markers are within {length_text(largest)} of their joints"
+    elif max_size < MIN_OFFSET and sum(map(bool, sizes)) >= MIN_OFFSET_MARKERS:
+        message = f"all markers are within {length_text(max_size)} of their joints"
         if nearest_unit is unit:
             hint = f"offsets are in {unit}: were they divided by 1000 twice?"
     else:
@@ -190,19 +190,21 @@ def _warn_of_swapped_sides(
     joint_pairs = pair_sides(joints)
     marker_pairs = pair_sides([marker.name for marker in markers])
     left_joints = {joints[j] for j in joint_pairs.left}
-    partner_of = {joints[j]: joints[p] for j, p in enumerate(joint_pairs.partners)}
+    partner_by_joint = {
+        joints[j]: joints[p] for j, p in enumerate(joint_pairs.partners)
+    }
     swaps: list[int] = []
     for left in marker_pairs.left:
         right = int(marker_pairs.partners[left])
         joint = markers[left].joint
-        is_on_partner = partner_of[joint] == markers[right].joint != joint
+        is_on_partner = partner_by_joint[joint] == markers[right].joint != joint
         if is_on_partner and joint not in left_joints:
             swaps += [left, right]
     if not swaps:
         return
     first = min(swaps)
     marker = markers[first]
-    other_joint = partner_of[marker.joint]
+    other_joint = partner_by_joint[marker.joint]
     names = [f"{markers[i].name} on {markers[i].joint}" for i in sorted(swaps)]
     message = f"{len(swaps)} of {counted(len(markers), 'marker')} are on joints of "
     message += f"the other side: {listed(names, 4)}"

@@ -60,31 +60,37 @@ def match_markers(
     [1]
     """
     labelled_names = [name for name in names if not name.startswith("*")]
-    matches = {
+    columns_by_subject = {
         prefix: _marker_columns(template, names, prefix)
         for prefix in dict.fromkeys(_split_prefix(name)[0] for name in labelled_names)
     }
-    matching_subjects = {
-        prefix: columns for prefix, columns in matches.items() if (columns >= 0).any()
+    columns_by_matching_subject = {
+        prefix: columns
+        for prefix, columns in columns_by_subject.items()
+        if (columns >= 0).any()
     }
     if subject is not None:
-        if subject not in matches:
+        if subject not in columns_by_subject:
             message = f"no marker is of the subject {subject!r}"
             raise OptionError(
-                Fault("SOL001", message, hint=name_hint(subject, matches))
+                Fault("SOL001", message, hint=name_hint(subject, columns_by_subject))
             )
-        matching_subjects = {subject: matches[subject]}
+        columns_by_matching_subject = {subject: columns_by_subject[subject]}
         labelled_names = [
             name for name in labelled_names if _split_prefix(name)[0] == subject
         ]
-    if len(matching_subjects) > 1:
-        count_text = counted(len(matching_subjects), "subject")
-        message = f"holds markers of {count_text}: {listed(sorted(matching_subjects))}"
+    if len(columns_by_matching_subject) > 1:
+        count_text = counted(len(columns_by_matching_subject), "subject")
+        message = f"holds markers of {count_text}: "
+        message += f"{listed(sorted(columns_by_matching_subject))}"
         hint = f"choose one with {argument('subject')}"
         raise OptionError(Fault("SOL002", message, hint=hint))
-    if not matching_subjects or not (next(iter(matching_subjects.values())) >= 0).any():
+    if (
+        not columns_by_matching_subject
+        or not (next(iter(columns_by_matching_subject.values())) >= 0).any()
+    ):
         raise OptionError(_unmatched_fault(template, labelled_names, names))
-    ((subject, columns),) = matching_subjects.items()
+    ((subject, columns),) = columns_by_matching_subject.items()
     used_columns = set(columns[columns >= 0].tolist())
     missing_markers = tuple(compress(template.names, columns < 0))
     unused_names = [
@@ -114,12 +120,12 @@ def _marker_columns(
     used_columns: set[int] = set()
     # Exact spelling first, then ignoring case.
     for normalise in (str, str.casefold):
-        column_of_name: dict[str, int] = {}
+        column_by_name: dict[str, int] = {}
         for i, bare_name in bare_names.items():
-            column_of_name.setdefault(normalise(bare_name), i)
+            column_by_name.setdefault(normalise(bare_name), i)
         for m, marker in enumerate(template.markers):
             for name in (marker.name, *marker.aliases):
-                i = column_of_name.get(normalise(name), -1)
+                i = column_by_name.get(normalise(name), -1)
                 if columns[m] < 0 <= i and i not in used_columns:
                     columns[m] = i
                     used_columns.add(i)
@@ -137,13 +143,18 @@ def resembling_names(
     >>> resembling_names(["LASI", "RASI"], ["Ann:L_ASIS", "Ann:C7"])
     [('LASI', 'L_ASIS')]
     """
-    bare_names = {_letters_of(name): _split_prefix(name)[1] for name in captured_names}
-    names_by_letters = {_letters_of(name): name for name in names}
+    name_by_captured_letters = {
+        _letters_of(name): _split_prefix(name)[1] for name in captured_names
+    }
+    name_by_letters = {_letters_of(name): name for name in names}
     pairs = []
-    for letters, name in names_by_letters.items():
-        similar = most_similar(letters, bare_names)
-        if similar is not None and most_similar(similar, names_by_letters) == letters:
-            pairs.append((name, bare_names[similar]))
+    for letters, name in name_by_letters.items():
+        similar_letters = most_similar(letters, name_by_captured_letters)
+        if (
+            similar_letters is not None
+            and most_similar(similar_letters, name_by_letters) == letters
+        ):
+            pairs.append((name, name_by_captured_letters[similar_letters]))
     return pairs
 
 

@@ -102,7 +102,7 @@ class MarkerTemplate:
         return np.array([joint_indices[m.joint] for m in self.markers], np.int64)
 
     def _merge_rig_faults(self, rig: Rig, faults: list[Fault]) -> list[Fault]:
-        """Return one fault instead if the template's own rig has all missing joints."""
+        """Return one fault for all if the template's own rig has their joints."""
         if self.document is None or self.rig is None or len(faults) < 2:
             return faults
         try:

@@ -190,8 +190,8 @@ class _HierarchyParser:
             count = len(number_texts) + sum(word not in "{}" for word in words)
             message = f"OFFSET has {counted(count, 'number')} instead of 3"
             self.lines.fail("BVH006", message, self._block_label(block))
-        values = tuple(self._parse_number(text) for text in number_texts)
-        offset = (values[0], values[1], values[2])
+        components = tuple(self._parse_number(text) for text in number_texts)
+        offset = (components[0], components[1], components[2])
         block.has_offset = True
         if block.is_end_site:
             self.joints[block.joint_index].tips.append(offset)
@@ -250,9 +250,9 @@ class _HierarchyParser:
             self.lines.fail("BVH007", "no joint has a channel")
 
     def _block_label(self, block: _OpenBlock) -> str:
-        kind = "End Site of" if block.is_end_site else "joint"
+        block_kind = "End Site of" if block.is_end_site else "joint"
         name = excerpt(self.joints[block.joint_index].name)
-        return f"{kind} {name}, line {block.line}"
+        return f"{block_kind} {name}, line {block.line}"
 
     def _missing_braces_hint(self) -> str | None:
         if not self.open_blocks:
@@ -316,15 +316,14 @@ def _duplicate_name_notices(joints: list[BvhJoint], path: str) -> list[Fault]:
 
 
 def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
-    rate, frame_time = header.rate_choice, header.frame_time
+    rate_choice, frame_time = header.rate_choice, header.frame_time
     slowest, fastest = PLAUSIBLE_RATES
     hint = f"set the real rate with {argument('source.fps')}"
     severity = Severity.WARNING
-    if not slowest <= rate.fps <= fastest:
+    if not slowest <= rate_choice.fps <= fastest:
         code = "BVH105"
-        message = (
-            f"Frame Time {frame_time} is {rate_label(rate.fps)}, which is implausible"
-        )
+        message = f"Frame Time {frame_time} is {rate_label(rate_choice.fps)}, which is "
+        message += "implausible"
         millisecond_rate = rate_of_milliseconds(frame_time)
         if millisecond_rate is not None:
             rate_text = rate_label(millisecond_rate)
@@ -333,17 +332,17 @@ def _rate_notices(header: BvhHeader, path: str, line: int) -> list[Fault]:
         elif slowest <= float(frame_time) <= fastest:
             hint = "is it a rate instead of a time? then set "
             hint += argument("source.fps", frame_time)
-    elif rate.kind is RateKind.PRINTED:
+    elif rate_choice.kind is RateKind.PRINTED:
         code = "BVH106"
         message = f"Frame Time {frame_time} is not a standard rate; using "
-        message += f"{rate_label(rate.fps)}"
-    elif rate.ambiguous_rates:
+        message += f"{rate_label(rate_choice.fps)}"
+    elif rate_choice.ambiguous_rates:
         code, severity = "BVH107", Severity.NOTE
-        other_rates = listed(rate.ambiguous_rates, 6)
-        is_exact = rate.fps * Fraction(frame_time) == 1
+        other_rates = listed(rate_choice.ambiguous_rates, 6)
+        is_exact = rate_choice.fps * Fraction(frame_time) == 1
         message = f"Frame Time {frame_time} {'may be' if is_exact else 'is'} rounded: "
         message += f"{other_rates} fps would be printed the same; using "
-        message += rate_label(rate.fps)
+        message += rate_label(rate_choice.fps)
     else:
         return []
     return [Fault(code, message, path, (line,), hint, severity)]
@@ -358,10 +357,12 @@ def _duplicate_channel(channels: Sequence[str]) -> tuple[str, str]:
     name = next(name for name in channels if channels.count(name) > 1)
     count = channels.count(name)
     message = f"{name!r} appears {'twice' if count == 2 else f'{count} times'}"
-    suffix = name[1:]  # ``position`` or ``rotation``
-    similar_channels = [channel for channel in channels if channel.endswith(suffix)]
+    kind_suffix = name[1:]  # ``position`` or ``rotation``
+    similar_channels = [
+        channel for channel in channels if channel.endswith(kind_suffix)
+    ]
     missing_channels = [
-        n for n in CHANNEL_NAMES if n.endswith(suffix) and n not in channels
+        n for n in CHANNEL_NAMES if n.endswith(kind_suffix) and n not in channels
     ]
     if len(similar_channels) == 3 and len(missing_channels) == 1:
         return message, f"one of them is likely {missing_channels[0]}"

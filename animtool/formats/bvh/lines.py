@@ -153,7 +153,7 @@ class RowReader:
         self._out_of_range_lines_by_column: dict[int, list[int]] = {}
 
     def blocks(self) -> Iterator[FloatArray]:
-        """Yield rows ``(F, C)`` in blocks, missing values filled; raise if faulty."""
+        """Yield rows ``(F, C)`` in blocks, missing values filled; raise if invalid."""
         pending_blocks: list[FloatArray] = []
         for rows, lines in self._parse_rows():
             self._count_rows(lines)

@@ -73,13 +73,13 @@ class ChannelRanges:
         ``root`` is ``(F, 3)``, or ``(F, 0)`` without position channels.
         """
         rotations = rows[:, self.columns]
-        for values, columns in ((rotations, slice(0, -3)), (root, slice(-3, None))):
+        for values, slots in ((rotations, slice(0, -3)), (root, slice(-3, None))):
             if values.shape[1]:
-                self.min_values[columns] = np.minimum(
-                    self.min_values[columns], values.min(axis=0)
+                self.min_values[slots] = np.minimum(
+                    self.min_values[slots], values.min(axis=0)
                 )
-                self.max_values[columns] = np.maximum(
-                    self.max_values[columns], values.max(axis=0)
+                self.max_values[slots] = np.maximum(
+                    self.max_values[slots], values.max(axis=0)
                 )
 
     @property

@@ -144,7 +144,7 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
 
 
 def _unit_hint(extent: float) -> str:
-    """Return a hint about the unit in which an extent is that of a person or an animal.
+    """Return a hint about the unit in which an extent fits a person or an animal.
 
     >>> _unit_hint(22.5)
     'in decimetres it would be 2.2 m: export it in cm, at 10 times the size'
@@ -170,7 +170,7 @@ def _build_rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Ri
     return Rig(name, tuple(joints), unit.meters, up)
 
 
-def _build_joint(joint: BvhJoint, name: str, meters: float) -> Joint:
+def _build_joint(joint: BvhJoint, name: str, meters_per_unit: float) -> Joint:
     channels = joint.channels or ()
     rotations = [name[0] for name in channels if name.endswith("rotation")]
     positions = [name[0] for name in channels if name.endswith("position")]
@@ -185,17 +185,21 @@ def _build_joint(joint: BvhJoint, name: str, meters: float) -> Joint:
     elif not rotations and len(positions) == 1:
         joint_type, axis = JointType.PRISMATIC, _channel_axis(positions[0])
 
-    def scale_vector(values: tuple[float, float, float]) -> tuple[float, float, float]:
-        return (values[0] * meters, values[1] * meters, values[2] * meters)
+    def to_meters(values: tuple[float, float, float]) -> tuple[float, float, float]:
+        return (
+            values[0] * meters_per_unit,
+            values[1] * meters_per_unit,
+            values[2] * meters_per_unit,
+        )
 
     return Joint(
         name,
         joint.parent,
         joint_type,
-        scale_vector(joint.offset or (0.0, 0.0, 0.0)),
+        to_meters(joint.offset or (0.0, 0.0, 0.0)),
         axis=axis,
         channels=channels,
-        tips=tuple(scale_vector(tip) for tip in joint.tips),
+        tips=tuple(to_meters(tip) for tip in joint.tips),
         source_name="" if name == joint.name else joint.name,
     )
 
@@ -308,8 +312,8 @@ def _collapsed_bones_notice(
     """
     offsets = rig.rest_translations[position_joints] / rig.meters_per_unit
     offset_lengths = np.linalg.norm(offsets, axis=1)
-    lengths = np.linalg.norm(extents.reshape(-1, 3), axis=1)
-    is_short = lengths <= MIN_LENGTH_FRACTION * offset_lengths
+    channel_lengths = np.linalg.norm(extents.reshape(-1, 3), axis=1)
+    is_short = channel_lengths <= MIN_LENGTH_FRACTION * offset_lengths
     has_length = (offset_lengths > 0) & (rig.parents[position_joints] >= 0)
     is_collapsed = is_short & has_length
     if not is_collapsed.any():

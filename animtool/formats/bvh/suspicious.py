@@ -17,7 +17,7 @@ MIN_BODY_JOINTS = 8
 # Height of the root of a body above its lowest joint at rest, over the body's size, and
 # range of a height that equals it, over it [1].
 MIN_LEG_FRACTION, HEIGHT_RANGE = 0.35, (0.75, 1.2)
-# Maximum of the position channel of the up axis, over that height [1], and smallest
+# Maximum of the up axis's position channel relative to that height [1], and smallest
 # range of two angles of a body that moves [deg].
 MAX_ROOT_HEIGHT_FRACTION, MIN_ANGLE_RANGE = 0.4, 1.0
 # Smallest range of another rotation channel that holds a path, over that height [1].
@@ -48,43 +48,65 @@ def swapped_root_warning(
     """
     root = header.joints[0]
     channels = list(root.channels or ())
-    positions = [i for i, name in enumerate(channels) if name.endswith("position")]
-    rotations = [i for i, name in enumerate(channels) if name.endswith("rotation")]
-    if len(rig.joints) < MIN_BODY_JOINTS or len(positions) != 3 or len(rotations) != 3:
+    position_columns = [
+        i for i, name in enumerate(channels) if name.endswith("position")
+    ]
+    rotation_columns = [
+        i for i, name in enumerate(channels) if name.endswith("rotation")
+    ]
+    if (
+        len(rig.joints) < MIN_BODY_JOINTS
+        or len(position_columns) != 3
+        or len(rotation_columns) != 3
+    ):
         return []
     up = np.array(rig.up.vector, float)
     rest_heights = rest_world(rig).positions[0] @ up
     leg_length = float(rest_heights[0] - rest_heights.min())
     if leg_length <= MIN_LEG_FRACTION * rest_size(rig) or not len(rows):
         return []
-    values = rows[:, : len(channels)] * rig.meters_per_unit / leg_length
+    relative_values = rows[:, : len(channels)] * rig.meters_per_unit / leg_length
     ranges = np.ptp(rows[:, : len(channels)], axis=0)
     # Rotation channels would hold the positions in the order of their axes.
     up_name = "XYZ"[int(up.argmax())]
-    k = next(k for k, i in enumerate(positions) if channels[i][0] == up_name)
-    heights = values[:, rotations[k]]
-    path_columns = [i for i in rotations if i != rotations[k]]
+    up_channel = next(
+        up_channel
+        for up_channel, i in enumerate(position_columns)
+        if channels[i][0] == up_name
+    )
+    heights = relative_values[:, rotation_columns[up_channel]]
+    path_columns = [i for i in rotation_columns if i != rotation_columns[up_channel]]
     is_leg_length = HEIGHT_RANGE[0] < heights.min() <= heights.max() < HEIGHT_RANGE[1]
     is_root_near_ground = (
-        np.abs(values[:, positions[k]]).max() < MAX_ROOT_HEIGHT_FRACTION
+        np.abs(relative_values[:, position_columns[up_channel]]).max()
+        < MAX_ROOT_HEIGHT_FRACTION
     )
-    distances = np.abs(values[:, positions])
+    distances = np.abs(relative_values[:, position_columns])
     is_height = (distances > HEIGHT_RANGE[0]) & (distances < HEIGHT_RANGE[1])
-    is_moving = (ranges[positions] > MIN_ANGLE_RANGE).sum() > 1
-    is_moving &= ranges[rotations[k]] > 0
-    has_path = np.ptp(values[:, path_columns], axis=0).max() > MIN_PATH_FRACTION
+    is_moving = (ranges[position_columns] > MIN_ANGLE_RANGE).sum() > 1
+    is_moving &= ranges[rotation_columns[up_channel]] > 0
+    has_path = (
+        np.ptp(relative_values[:, path_columns], axis=0).max() > MIN_PATH_FRACTION
+    )
     if is_height.all(axis=0).any():
         return []
     if not (is_leg_length and is_root_near_ground and is_moving and has_path):
         return []
-    height = float(np.median(rows[:, rotations[k]]))
+    height = float(np.median(rows[:, rotation_columns[up_channel]]))
     length = leg_length / rig.meters_per_unit
-    message = f"{channels[rotations[k]]} of {root.name!r} is about "
+    message = f"{channels[rotation_columns[up_channel]]} of {root.name!r} is about "
     message += f"{plain_number(height)} in all frames, as high as the legs are long "
-    message += f"({plain_number(length)}), and {channels[positions[k]]} is near 0: the "
+    message += f"({plain_number(length)}), and "
+    message += f"{channels[position_columns[up_channel]]} is near 0: the "
     message += "columns of positions and rotations look exchanged"
-    swapped = dict(zip(positions + rotations, rotations + positions, strict=True))
-    names = " ".join(channels[swapped[i]] for i in range(6))
+    exchanged_columns = dict(
+        zip(
+            position_columns + rotation_columns,
+            rotation_columns + position_columns,
+            strict=True,
+        )
+    )
+    names = " ".join(channels[exchanged_columns[i]] for i in range(6))
     hint = f"if so, write CHANNELS 6 {names}"
     return [Fault("BVH115", message, path, (root.line,), hint, Severity.WARNING)]
 
@@ -95,8 +117,8 @@ def opposite_offset_warnings(header: BvhHeader, rig: Rig, path: str) -> list[Fau
     Most pairs of left and right joints must be mirror images.
     """
     size = rest_size(rig)
-    partners = pair_sides(rig.names, rig.parents)
-    pairs = [(left, int(partners.partners[left])) for left in partners.left]
+    side_pairs = pair_sides(rig.names, rig.parents)
+    pairs = [(left, int(side_pairs.partners[left])) for left in side_pairs.left]
     offsets = rig.rest_translations
     lengths = np.linalg.norm(offsets, axis=1)
     pairs = [
@@ -108,33 +130,36 @@ def opposite_offset_warnings(header: BvhHeader, rig: Rig, path: str) -> list[Fau
     tolerances = MAX_DIFFERENCE * lengths[right]
     for axis in range(3):
         signs = np.where(np.arange(3) == axis, -1.0, 1.0)
-        mirrored = signs * offsets[left]
-        is_mirrored = np.abs(mirrored - offsets[right]).max(axis=1) <= tolerances
+        mirrored_offsets = signs * offsets[left]
+        is_mirrored = (
+            np.abs(mirrored_offsets - offsets[right]).max(axis=1) <= tolerances
+        )
         count = int(is_mirrored.sum())
-        is_lateral = 2.0 * np.abs(mirrored[:, axis]) > lengths[left]
+        is_lateral = 2.0 * np.abs(mirrored_offsets[:, axis]) > lengths[left]
         if (is_mirrored & is_lateral).sum() < MIN_LATERAL_PAIRS:
             continue
         if count >= max(MIN_MIRRORED_PAIRS, MIN_MIRRORED_FRACTION * len(pairs)):
             break
     else:
         return []
-    differences = np.abs(np.abs(mirrored) - np.abs(offsets[right])).max(axis=1)
+    differences = np.abs(np.abs(mirrored_offsets) - np.abs(offsets[right])).max(axis=1)
     faults = []
     for i in np.flatnonzero(~is_mirrored & (differences <= tolerances)).tolist():
-        k = int(np.abs(offsets[right[i]]).argmax())
-        if mirrored[i, k] * offsets[right[i], k] > 0:
+        wrong_axis = int(np.abs(offsets[right[i]]).argmax())
+        if mirrored_offsets[i, wrong_axis] * offsets[right[i], wrong_axis] > 0:
             continue
         joint = _folded_joint(rig, int(left[i]), int(right[i]))
-        other = int(right[i]) if joint == left[i] else int(left[i])
+        opposite_joint = int(right[i]) if joint == left[i] else int(left[i])
         texts = [
             vector_text((offsets[j] / rig.meters_per_unit).tolist(), 6)
-            for j in (joint, other)
+            for j in (joint, opposite_joint)
         ]
         message = f"the OFFSET of {rig.names[joint]!r} is {texts[0]}, but that of "
-        message += f"{rig.names[other]!r} is {texts[1]}: {'XYZ'[k]} has the wrong sign "
+        message += f"{rig.names[opposite_joint]!r} is {texts[1]}: {'XYZ'[wrong_axis]} "
+        message += "has the wrong sign "
         message += f"on one side, as {count} of {len(pairs)} pairs of left and right "
         message += "joints are mirror images"
-        hint = f"negate {'XYZ'[k]}, likely that of {rig.names[joint]!r}"
+        hint = f"negate {'XYZ'[wrong_axis]}, likely that of {rig.names[joint]!r}"
         line = header.joints[joint].line
         faults.append(Fault("BVH116", message, path, (line,), hint, Severity.WARNING))
     return faults

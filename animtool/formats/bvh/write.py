@@ -75,7 +75,7 @@ def build_bvh_text(take: Take) -> TakeText:
     max_offset = float(np.abs(offsets).max(initial=0.0))
 
     columns: list[FloatArray] = []
-    decimals: list[int] = []
+    decimal_counts: list[int] = []
     channel_orders: dict[int, tuple[str, ...]] = {}
     rotations = motion.rotations.dense()
     # Columns follow the joints' order in the hierarchy.
@@ -91,14 +91,14 @@ def build_bvh_text(take: Take) -> TakeText:
         for name in channel_order:
             if name in position_names:
                 columns.append(translations[:, j, "XYZ".index(name[0])])
-                decimals.append(LENGTH_DECIMALS)
+                decimal_counts.append(LENGTH_DECIMALS)
             else:
                 columns.append(angles[:, rotation_names.index(name)])
-                decimals.append(ANGLE_DECIMALS)
+                decimal_counts.append(ANGLE_DECIMALS)
     rows = np.stack(columns, axis=1) if columns else np.zeros((motion.frames, 0))
     return TakeText(
         _header_lines(take, offsets, children, channel_orders),
-        format_rows(rows, decimals),
+        format_rows(rows, decimal_counts),
         _scale_notices(take) + _shape_notices(take) + _unit_notices(take.rig),
     )
 
@@ -114,11 +114,11 @@ def _joints_depth_first(rig: Rig, children: list[list[int]]) -> list[int]:
 
 
 def _position_channels(
-    joint: Joint, values: FloatArray, offset: FloatArray, tolerance: float
+    joint: Joint, translations: FloatArray, offset: FloatArray, tolerance: float
 ) -> tuple[str, ...]:
     """Return the position channels needed to store a joint's translations."""
     declared_names = tuple(n for n in joint.channels or () if n.endswith("position"))
-    is_off_rest = np.abs(values - offset).max(axis=0) > tolerance
+    is_off_rest = np.abs(translations - offset).max(axis=0) > tolerance
     has_needed_channels = all(
         not is_off_rest[axis] or _POSITION_CHANNELS[axis] in declared_names
         for axis in range(3)
@@ -131,7 +131,7 @@ def _position_channels(
 
 
 def _rotation_channels(
-    joint: Joint, values: FloatArray
+    joint: Joint, rotations: FloatArray
 ) -> tuple[tuple[str, ...], FloatArray]:
     """Return the rotation channels that a joint's rotations need, and angles [deg]."""
     declared_names = tuple(n for n in joint.channels or () if n.endswith("rotation"))
@@ -139,7 +139,7 @@ def _rotation_channels(
     axis_order = "".join(name[0] for name in names)
     axis_order += "".join(letter for letter in "XYZ" if letter not in axis_order)
     axes = np.array([axes_of(axis_order)], np.int32)
-    quaternions = np.ascontiguousarray(values[:, None])
+    quaternions = np.ascontiguousarray(rotations[:, None])
     angles = _kernels.quaternion_to_euler(quaternions, axes)[:, 0]
     declared_count = len(names)
     max_unused_angle = np.abs(angles[:, declared_count:]).max(initial=0.0)

@@ -84,11 +84,11 @@ def trial_frame_range(sections: Sections) -> tuple[int | None, int | None]:
     return first_frame, last_frame
 
 
-def _join_words(words: list[float]) -> int | None:
+def _join_words(low_and_high_words: list[float]) -> int | None:
     """Return a number stored as two 16-bit words, low word first."""
-    if not words or not all(map(math.isfinite, words)):
+    if not low_and_high_words or not all(map(math.isfinite, low_and_high_words)):
         return None
-    low_word, high_word = ([*words, 0.0])[:2]
+    low_word, high_word = ([*low_and_high_words, 0.0])[:2]
     return (int(low_word) & 0xFFFF) + ((int(high_word) & 0xFFFF) << 16)
 
 
@@ -135,33 +135,37 @@ def _stated_analog_counts(
     """Return stated analogue values per frame, and further counts to try."""
     header_count = sections.header.analog_count
     samples_per_frame = sections.header.samples_per_frame
-    values = [FieldValue("header word 3", header_count, 1.0)]
+    stated_counts = [FieldValue("header word 3", header_count, 1.0)]
     used_channels = unsigned_word(sections, "ANALOG", "USED")
     rates = [sections.number(group, "RATE") for group in ("ANALOG", "POINT")]
-    samples_from_rates = _analog_samples_per_frame(
+    samples_per_frame_from_rates = _analog_samples_per_frame(
         rates[0], rates[1] or sections.header.rate
     )
     if used_channels == 0:
-        values.append(FieldValue("ANALOG:USED", 0, 0.75))
+        stated_counts.append(FieldValue("ANALOG:USED", 0, 0.75))
     elif used_channels is not None:
         word_source = "ANALOG:USED x header word 10"
         rate_source = "ANALOG:USED x ANALOG:RATE / POINT:RATE"
         if samples_per_frame:
-            values.append(
+            stated_counts.append(
                 FieldValue(word_source, used_channels * samples_per_frame, 0.75)
             )
-        if samples_from_rates:
-            values.append(
-                FieldValue(rate_source, used_channels * samples_from_rates, 0.75)
+        if samples_per_frame_from_rates:
+            stated_counts.append(
+                FieldValue(
+                    rate_source, used_channels * samples_per_frame_from_rates, 0.75
+                )
             )
     channel_counts = {
         used_channels or 0,
         header_count,
         len(sections.texts("ANALOG", "LABELS")),
     }
-    sample_counts = {1, samples_per_frame, samples_from_rates or 0}
+    sample_counts = {1, samples_per_frame, samples_per_frame_from_rates or 0}
     counts = {0, *(c * f for c in channel_counts for f in sample_counts)}
-    return tuple(values), tuple(sorted(counts - {v.value for v in values}))
+    return tuple(stated_counts), tuple(
+        sorted(counts - {v.value for v in stated_counts})
+    )
 
 
 def _analog_samples_per_frame(

@@ -194,9 +194,9 @@ def _combinations(
 
     ``file_size`` and ``padding``, the number of zeros at the end, are in [byte].
     """
-    number_sizes = _costed_values(fields.number_bytes, (2, 4))
+    number_sizes = _values_with_costs(fields.number_bytes, (2, 4))
     for (offset, offset_cost), (size, bytes_cost) in itertools.product(
-        _costed_values(fields.data_offset), number_sizes
+        _values_with_costs(fields.data_offset), number_sizes
     ):
         contradicts_size = bytes_cost >= MIN_DECISIVE_WEIGHT and _values_agree(
             fields.number_bytes
@@ -217,15 +217,15 @@ def _count_combinations(
     The data has space for ``capacity`` numbers, or ``min_numbers`` without the zeros
     at its end.
     """
-    costed_points = _costed_values(fields.point_count)
-    costed_frames = _costed_values(fields.frame_count)
-    costed_analog = _costed_values(fields.analog_count, fields.other_analog_counts)
-    stated_candidates = {v.value for v in fields.analog_count}
+    costed_points = _values_with_costs(fields.point_count)
+    costed_frames = _values_with_costs(fields.frame_count)
+    costed_analog = _values_with_costs(fields.analog_count, fields.other_analog_counts)
+    stated_counts = {v.value for v in fields.analog_count}
     for (point_count, point_cost), (analog_count, analog_cost) in itertools.product(
         costed_points, costed_analog
     ):
         numbers_per_frame = 4 * point_count + analog_count
-        is_unstated = analog_count not in stated_candidates
+        is_unstated = analog_count not in stated_counts
         frame_counts = [(count, cost, False) for count, cost in costed_frames]
         if numbers_per_frame and min_numbers > 0:
             fitting_count = -(-min_numbers // numbers_per_frame)
@@ -251,15 +251,15 @@ def _count_combinations(
                 yield (point_count, analog_count, frame_count), cost, True
 
 
-def _costed_values(
+def _values_with_costs(
     values: Sequence[FieldValue], other_values: Sequence[int] = ()
 ) -> list[tuple[int, float]]:
-    """Return candidate values, each with the cost of contradicted stated values."""
-    stated_candidates = {v.value for v in values}
+    """Return candidate values, each with the cost of stated values it contradicts."""
+    stated_values = {v.value for v in values}
     unstated_cost = UNSTATED_COUNT_COST if values else 0.0
-    return [(v, _total_cost(values, v)) for v in sorted(stated_candidates)] + [
+    return [(v, _total_cost(values, v)) for v in sorted(stated_values)] + [
         (value, _total_cost(values, value) + unstated_cost)
-        for value in sorted(set(other_values) - stated_candidates)
+        for value in sorted(set(other_values) - stated_values)
     ]
 
 
@@ -279,30 +279,30 @@ def _can_solve(values: Sequence[FieldValue]) -> bool:
 
 
 def _solve_frame_counts(
-    fields: FieldValues, count: int
+    fields: FieldValues, fitting_count: int
 ) -> list[tuple[int, float, bool]]:
     """Return frame counts solved from the file size: value, cost, and whether solved.
 
     Empty unless stated counts are saturated, wrap around, differ, or are missing.
-    ``count`` is the number of frames that fit into the data.
+    ``fitting_count`` is the number of frames that fit into the data.
     """
     stated_values = fields.frame_count
-    if any(v.value == count for v in stated_values):
+    if any(v.value == fitting_count for v in stated_values):
         return []
-    cost = _total_cost(stated_values, count)
+    cost = _total_cost(stated_values, fitting_count)
     if not stated_values or any(
-        c.is_saturated and count > c.value for c in stated_values
+        c.is_saturated and fitting_count > c.value for c in stated_values
     ):
-        return [(count, cost + UNSTATED_COUNT_COST, False)]
-    if any(v.can_wrap and v.cost(count) < v.weight for v in stated_values):
-        return [(count, cost, False)]
+        return [(fitting_count, cost + UNSTATED_COUNT_COST, False)]
+    if any(v.can_wrap and v.cost(fitting_count) < v.weight for v in stated_values):
+        return [(fitting_count, cost, False)]
     if _values_agree(stated_values):
         return []
-    return [(count, cost + FITTED_FRAMES_COST, True)]
+    return [(fitting_count, cost + FITTED_FRAMES_COST, True)]
 
 
 def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layout:
-    """Return a layout with the cost of nonzero bytes before the first frame added."""
+    """Return a layout with the cost of nonzero bytes skipped before the first frame."""
     gap_start, gap_bytes = parameters_end, layout.data_offset - parameters_end
     if gap_bytes <= 0 or data.count(b"\0", gap_start, layout.data_offset) == gap_bytes:
         return layout
@@ -310,7 +310,7 @@ def _add_skipped_cost(layout: Layout, parameters_end: int, data: bytes) -> Layou
 
 
 def _add_trailing_cost(layout: Layout, data: bytes, end: int) -> Layout:
-    """Add the number of bytes after the last frame and their cost to a layout."""
+    """Return a layout with its trailing bytes before ``end``, and their cost added."""
     unused_bytes = end - layout.end
     is_padding = 0 <= unused_bytes < BLOCK_BYTES and end % BLOCK_BYTES == 0
     frame_bytes = layout.number_bytes * layout.numbers_per_frame

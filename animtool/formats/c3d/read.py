@@ -153,8 +153,8 @@ def read_c3d(
     positions[status_words < 0] = np.nan
     positions = file.clean_positions(positions, length_unit.meters)
     if signed_up in _UP_CONVERSIONS:
-        up_axis, order, signs = _UP_CONVERSIONS[signed_up]
-        positions = positions[..., order] * signs
+        up_axis, axis_order, signs = _UP_CONVERSIONS[signed_up]
+        positions = positions[..., axis_order] * signs
     else:
         up_axis = UpAxis(signed_up[1])
     is_visible = np.isfinite(positions[..., 0])
@@ -250,8 +250,8 @@ _QUANTITIES = {
 }
 
 
-def _contradiction_text(name: str, value: int, values: list[FieldValue]) -> str:
-    texts = ", ".join(f"{v.value} ({v.source})" for v in values)
+def _contradiction_text(name: str, value: int, stated_values: list[FieldValue]) -> str:
+    texts = ", ".join(f"{v.value} ({v.source})" for v in stated_values)
     return f"{value} {_QUANTITIES[name]}, not {texts}"
 
 
@@ -406,8 +406,8 @@ def _read_filled_group(
             break
         for marker, first, last in value.ravel()[: value.size // 3 * 3].reshape(-1, 3):
             if np.isfinite([marker, first, last]).all() and marker in column_by_point:
-                start = int(min(max(first, 0), len(is_visible)))
-                end = int(min(max(last + 1, 0), len(is_visible)))
-                is_filled[start:end, column_by_point[int(marker)]] = True
+                first_frame = int(min(max(first, 0), len(is_visible)))
+                end_frame = int(min(max(last + 1, 0), len(is_visible)))
+                is_filled[first_frame:end_frame, column_by_point[int(marker)]] = True
     is_filled &= is_visible
     return is_filled if is_filled.any() else None

@@ -214,9 +214,9 @@ def _file_chunks(markers: Markers, head: bytes) -> Iterator[bytes]:
     yield head
     written_bytes = len(head)
     for begin in range(0, len(markers), BLOCK_FRAMES):
-        rows = _frame_rows(markers, slice(begin, begin + BLOCK_FRAMES))
-        written_bytes += len(rows)
-        yield rows
+        frame_bytes = _frame_rows(markers, slice(begin, begin + BLOCK_FRAMES))
+        written_bytes += len(frame_bytes)
+        yield frame_bytes
     # If the header cannot store the number of frames, readers derive it from the file
     # size; zeros up to a full block would become frames.
     if len(markers) < MAX_COUNT:
@@ -246,9 +246,9 @@ def _data_loss_notice(markers: Markers, path: str) -> list[Fault]:
     """Return warnings about data that C3D cannot store."""
     lost_contents = []
     if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
-        largest = int(markers.cameras.max())
+        max_camera_count = int(markers.cameras.max())
         lost_contents.append(
-            f"more than {MAX_CAMERAS} cameras per point, here up to {largest}"
+            f"more than {MAX_CAMERAS} cameras per point, here up to {max_camera_count}"
         )
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
         lost_contents.append(f"the first frame {markers.clock.start}")

@@ -145,15 +145,17 @@ class SkinBinder:
     def _rigid_geom_bind(self, bind_matrices: FloatArray) -> FloatArray:
         """Return the mesh transform that makes all binds rigid, else the identity."""
         linear = bind_matrices[:, :3, :3]
-        squares = linear @ linear.swapaxes(1, 2)
-        largest = float(np.abs(squares).max())
+        squared_linear = linear @ linear.swapaxes(1, 2)
+        max_magnitude = float(np.abs(squared_linear).max())
         geom_bind = np.eye(4)
-        deviation = np.abs(squares - squares[0]).max() / largest
-        is_rigid = np.abs(squares[0] - np.eye(3)).max() <= RIGID_TOLERANCE
+        deviation = np.abs(squared_linear - squared_linear[0]).max() / max_magnitude
+        is_rigid = np.abs(squared_linear[0] - np.eye(3)).max() <= RIGID_TOLERANCE
         if deviation <= RIGID_TOLERANCE and not is_rigid:
-            eigenvalues, vectors = np.linalg.eigh(squares[0])
+            eigenvalues, eigenvectors = np.linalg.eigh(squared_linear[0])
             if eigenvalues.min() > 1e-12 * eigenvalues.max():
-                geom_bind[:3, :3] = vectors @ np.diag(eigenvalues**-0.5) @ vectors.T
+                geom_bind[:3, :3] = (
+                    eigenvectors @ np.diag(eigenvalues**-0.5) @ eigenvectors.T
+                )
         return geom_bind
 
     def joint_names(self) -> list[str]:
@@ -180,8 +182,8 @@ def _bind_poses(rig: Rig, bind_worlds: dict[int, FloatArray]) -> dict[str, Pose]
     """Return bind poses that differ from rest, computed from world bind transforms."""
     if not bind_worlds:
         return {}
-    count, parents = len(rig.joints), rig.parents
-    rest = np.tile(np.eye(4), (count, 1, 1))
+    joint_count, parents = len(rig.joints), rig.parents
+    rest = np.tile(np.eye(4), (joint_count, 1, 1))
     rest[:, :3, :3] = so3.to_matrix(rig.rest_rotations)
     rest[:, :3, 3] = rig.rest_translations
     joints = np.array(sorted(bind_worlds))
@@ -189,11 +191,11 @@ def _bind_poses(rig: Rig, bind_worlds: dict[int, FloatArray]) -> dict[str, Pose]
     rigid_binds = bind.copy()
     rigid_binds[:, :3, :3] = so3.to_matrix(so3.split_scale(bind[:, :3, :3])[0])
     rigid_binds[:, :3, 3] *= rig.meters_per_unit
-    stretches = np.tile(np.eye(3), (count, 1, 1))
+    stretches = np.tile(np.eye(3), (joint_count, 1, 1))
     stretches[joints] = rigid_binds[:, :3, :3].swapaxes(1, 2) @ bind[:, :3, :3]
-    world = np.zeros((count, 4, 4))
+    world = np.zeros((joint_count, 4, 4))
     world[joints] = rigid_binds
-    for j in range(count):
+    for j in range(joint_count):
         if j not in bind_worlds:
             # Joints in no skin keep their rest transform relative to their parent.
             parent = parents[j]

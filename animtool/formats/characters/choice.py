@@ -31,8 +31,11 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
     Node trees belong to the same character if a skin of a mesh in one uses joints of
     the other.
     """
-    order, roots = sort_parents_first(file.nodes), find_root_nodes(file.nodes)
-    group_parents = {root: root for root in set(roots)}
+    nodes_parents_first, root_of_node = (
+        sort_parents_first(file.nodes),
+        find_root_nodes(file.nodes),
+    )
+    group_parents = {root: root for root in set(root_of_node)}
 
     def find_group(root: int) -> int:
         while group_parents[root] != root:
@@ -41,7 +44,9 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
         return root
 
     def merge_groups(a: int, b: int) -> None:
-        lower_root, upper_root = sorted((find_group(roots[a]), find_group(roots[b])))
+        lower_root, upper_root = sorted(
+            (find_group(root_of_node[a]), find_group(root_of_node[b]))
+        )
         group_parents[upper_root] = lower_root
 
     for skin in file.skins:
@@ -51,12 +56,12 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
         if tree_node.skin >= 0:
             merge_groups(i, file.skins[tree_node.skin].joints[0])
     first_joints = [joint for skin in file.skins for joint in skin.joints[:1]]
-    groups = sorted({find_group(roots[joint]) for joint in first_joints})
+    groups = sorted({find_group(root_of_node[joint]) for joint in first_joints})
     if len(groups) < 2:
-        return (CharacterNodes(ROOT_PATH, tuple(order)),)
+        return (CharacterNodes(ROOT_PATH, tuple(nodes_parents_first)),)
     nodes_by_group: dict[int, list[int]] = {root: [] for root in groups}
-    for node in order:
-        node_group = find_group(roots[node])
+    for node in nodes_parents_first:
+        node_group = find_group(root_of_node[node])
         if node_group in nodes_by_group:
             nodes_by_group[node_group].append(node)
     paths = _character_paths(file, nodes_by_group)
@@ -68,14 +73,14 @@ def find_characters(file: NodeTree) -> tuple[CharacterNodes, ...]:
 
 def _character_paths(file: NodeTree, nodes_by_group: dict[int, list[int]]) -> list[str]:
     """Return a unique path for each character, from the name of its root node."""
-    names = []
+    root_names = []
     joints = {joint for skin in file.skins for joint in skin.joints}
     for root, nodes in nodes_by_group.items():
         top_joint = next((node for node in nodes if node in joints), root)
         while file.nodes[top_joint].parent >= 0:
             top_joint = file.nodes[top_joint].parent
-        names.append(file.nodes[top_joint].name or f"node_{top_joint}")
-    return [f"/{name}" for name in numbered_names(names)]
+        root_names.append(file.nodes[top_joint].name or f"node_{top_joint}")
+    return [f"/{name}" for name in numbered_names(root_names)]
 
 
 def choose_character(

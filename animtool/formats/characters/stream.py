@@ -123,9 +123,11 @@ def _sample_blocks(
         rotations = motion.rotations
         if len(rotations.animated):
             if last_rotations is not None:
-                signs = np.einsum("jc,jc->j", rotations.values[0], last_rotations)
-                if (signs < 0).any():
-                    rotations.values[:, signs < 0] *= -1.0
+                sign_products = np.einsum(
+                    "jc,jc->j", rotations.values[0], last_rotations
+                )
+                if (sign_products < 0).any():
+                    rotations.values[:, sign_products < 0] *= -1.0
             last_rotations = rotations.values[-1].copy()
         yield motion
 

@@ -204,21 +204,23 @@ class _ClipBuilder:
         self,
         target: str,
         keys: JoinedKeys,
-        matrix: FloatArray,
+        value_matrix: FloatArray,
         offset: FloatArray,
         euler_order: str = "",
     ) -> ClipChannel:
         """Return a channel with key values transformed by a matrix and an offset."""
         fps = float(self.clock.fps)
         ins, outs = (
-            np.concatenate([handles[:, :1] * fps, handles[:, 1:] @ matrix.T], axis=1)
+            np.concatenate(
+                [handles[:, :1] * fps, handles[:, 1:] @ value_matrix.T], axis=1
+            )
             for handles in (keys.ins, keys.outs)
         )
         key_count = len(keys.ticks)
         return ClipChannel(
             target,
             self._key_frames(keys.ticks),
-            keys.values @ matrix.T + offset,
+            keys.values @ value_matrix.T + offset,
             keys.interps,
             ((Tangent.FREE, Tangent.FREE),) * key_count,
             ins,

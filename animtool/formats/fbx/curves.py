@@ -103,18 +103,23 @@ class FbxCurve:
         """Return the values at times between the first key and the last."""
         if len(self.times) == 1:
             return np.full(len(ticks), self.values[0])
-        k = np.searchsorted(self.times, ticks, "right") - 1
-        k = np.clip(k, 0, len(self.times) - 1)
-        values = self.values[k].copy()
-        is_off_key = ticks != self.times[k]
+        key_indices = np.searchsorted(self.times, ticks, "right") - 1
+        key_indices = np.clip(key_indices, 0, len(self.times) - 1)
+        values = self.values[key_indices].copy()
+        is_off_key = ticks != self.times[key_indices]
         if not is_off_key.any():
             return values
         off_key_indices = np.flatnonzero(is_off_key)
-        k = k[off_key_indices]
-        modes = self.modes[k]
-        durations = (self.times[k + 1] - self.times[k]).astype(np.float64)
-        fraction = (ticks[off_key_indices] - self.times[k]) / durations
-        start_values, end_values = self.values[k], self.values[k + 1]
+        key_indices = key_indices[off_key_indices]
+        modes = self.modes[key_indices]
+        durations = (self.times[key_indices + 1] - self.times[key_indices]).astype(
+            np.float64
+        )
+        fraction = (ticks[off_key_indices] - self.times[key_indices]) / durations
+        start_values, end_values = (
+            self.values[key_indices],
+            self.values[key_indices + 1],
+        )
         segment_values = np.where(modes == NEXT, end_values, start_values)
         segment_values = np.where(
             modes == LINEAR,
@@ -123,14 +128,27 @@ class FbxCurve:
         )
         is_cubic = modes == CUBIC
         if is_cubic.any():
-            k, seconds = k[is_cubic], durations[is_cubic] / TICKS_PER_SECOND
-            weights = self.weights[k]
+            key_indices, seconds = (
+                key_indices[is_cubic],
+                durations[is_cubic] / TICKS_PER_SECOND,
+            )
+            weights = self.weights[key_indices]
             u = solve_bezier_parameter(fraction[is_cubic], weights)
-            a = start_values[is_cubic] + self.out_slopes[k] * weights[:, 0] * seconds
-            b = end_values[is_cubic] - self.in_slopes[k] * weights[:, 1] * seconds
+            start_handles = (
+                start_values[is_cubic]
+                + self.out_slopes[key_indices] * weights[:, 0] * seconds
+            )
+            end_handles = (
+                end_values[is_cubic]
+                - self.in_slopes[key_indices] * weights[:, 1] * seconds
+            )
             v = 1.0 - u
-            segment_values[is_cubic] = v * v * (v * start_values[is_cubic] + 3 * u * a)
-            segment_values[is_cubic] += u * u * (u * end_values[is_cubic] + 3 * v * b)
+            segment_values[is_cubic] = (
+                v * v * (v * start_values[is_cubic] + 3 * u * start_handles)
+            )
+            segment_values[is_cubic] += (
+                u * u * (u * end_values[is_cubic] + 3 * v * end_handles)
+            )
         values[off_key_indices] = segment_values
         return values
 

@@ -174,10 +174,12 @@ def _has_weights(file: FbxFile, skin: FbxObject) -> bool:
 
 
 def _read_cluster(
-    file: FbxFile, source: FbxObject, point_count: int, name: str
+    file: FbxFile, cluster_object: FbxObject, point_count: int, name: str
 ) -> Cluster | None:
-    diagnostics, element = file.diagnostics, source.element
-    bones = [b for b in file.sources(source.id, "Model") if b.id not in ROOT_IDS]
+    diagnostics, element = file.diagnostics, cluster_object.element
+    bones = [
+        b for b in file.sources(cluster_object.id, "Model") if b.id not in ROOT_IDS
+    ]
     indices = read_integers(element, "Indexes", diagnostics)
     weights = read_floats(element, "Weights", diagnostics)
     if indices is None or weights is None or not len(indices):
@@ -188,18 +190,23 @@ def _read_cluster(
         return None
     mode = element.find("Mode")
     if mode is not None and mode.text(0) == "Additive":
-        message = f"skin of {name!r}: additive cluster {source.name!r} is not supported"
+        message = f"skin of {name!r}: additive cluster {cluster_object.name!r} is not "
+        message += "supported"
         diagnostics.fail("FBX004", element.location, message)
     if len(indices) != len(weights):
-        message = f"{len(indices)} indices of {source.name!r} have {len(weights)} "
+        message = (
+            f"{len(indices)} indices of {cluster_object.name!r} have {len(weights)} "
+        )
         message += "weights"
         diagnostics.fail("FBX008", element.location, message)
     if (indices < 0).any() or (indices >= point_count).any():
-        message = f"cluster {source.name!r} refers to a point that {name!r} does not "
+        message = (
+            f"cluster {cluster_object.name!r} refers to a point that {name!r} does not "
+        )
         message += "have"
         diagnostics.fail("FBX008", element.location, message)
     if (weights < -1e-6).any():
-        message = f"cluster {source.name!r} has negative weights"
+        message = f"cluster {cluster_object.name!r} has negative weights"
         diagnostics.fail("FBX008", element.location, message)
     bone_from_mesh = _read_matrix(file, element, "Transform")
     world_from_bone = _read_matrix(file, element, "TransformLink")
@@ -243,15 +250,18 @@ def build_skin_table(mesh: FbxGeometry) -> tuple[IntArray, FloatArray]:
     cluster_indices = cluster_indices[order]
     influence_counts = np.bincount(points, minlength=point_count)
     influence_count = max(1, int(influence_counts.max(initial=0)))
-    first_rows = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])
-    columns = np.arange(len(points)) - first_rows[points]
-    indices = np.zeros((point_count, influence_count), np.int64)
+    first_influences = np.concatenate([[0], np.cumsum(influence_counts)[:-1]])
+    columns = np.arange(len(points)) - first_influences[points]
+    cluster_table = np.zeros((point_count, influence_count), np.int64)
     weight_table = np.zeros((point_count, influence_count))
-    indices[points, columns], weight_table[points, columns] = cluster_indices, weights
+    cluster_table[points, columns], weight_table[points, columns] = (
+        cluster_indices,
+        weights,
+    )
     weight_sums = weight_table.sum(axis=1, keepdims=True)
     is_unweighted = weight_sums[:, 0] <= 0
-    indices[is_unweighted, 0], weight_table[is_unweighted, 0] = cluster_count, 1.0
-    return indices, weight_table / np.where(weight_sums <= 0, 1.0, weight_sums)
+    cluster_table[is_unweighted, 0], weight_table[is_unweighted, 0] = cluster_count, 1.0
+    return cluster_table, weight_table / np.where(weight_sums <= 0, 1.0, weight_sums)
 
 
 def has_unweighted_points(mesh: FbxGeometry) -> bool:
@@ -285,10 +295,10 @@ def _add_shapes(
 
 
 def _read_shape_channel(
-    file: FbxFile, source: FbxObject, point_count: int
+    file: FbxFile, channel_object: FbxObject, point_count: int
 ) -> ShapeChannel | None:
-    diagnostics, element = file.diagnostics, source.element
-    shapes = file.sources(source.id, "Geometry", "Shape")
+    diagnostics, element = file.diagnostics, channel_object.element
+    shapes = file.sources(channel_object.id, "Geometry", "Shape")
     if not shapes:
         return None
     full_weights = read_floats(element, "FullWeights", diagnostics)
@@ -299,12 +309,14 @@ def _read_shape_channel(
             full_weights = np.full(len(shapes), 100.0)
     if full_weights is None or len(full_weights) < len(shapes):
         if len(shapes) > 1:
-            message = f"{counted(len(shapes), 'shape')} of {source.name!r} have no "
+            message = (
+                f"{counted(len(shapes), 'shape')} of {channel_object.name!r} have no "
+            )
             message += "weights"
             diagnostics.fail("FBX008", element.location, message)
         full_weights = np.array([100.0])
-    percent = read_scalar(source, DEFORM_PERCENT, 0.0, diagnostics)
-    if DEFORM_PERCENT not in source.properties:
+    percent = read_scalar(channel_object, DEFORM_PERCENT, 0.0, diagnostics)
+    if DEFORM_PERCENT not in channel_object.properties:
         percents = read_floats(element, DEFORM_PERCENT, diagnostics)
         if percents is not None and len(percents):
             percent = float(percents[0])
@@ -315,7 +327,7 @@ def _read_shape_channel(
         )
         targets.append((full_weight, offsets))
     targets.sort(key=lambda target: target[0])
-    return ShapeChannel(source.id, source.name, percent, targets)
+    return ShapeChannel(channel_object.id, channel_object.name, percent, targets)
 
 
 def _has_weights_per_point(file: FbxFile) -> bool:

@@ -83,8 +83,11 @@ def _common_extrapolation(
     curves: Sequence[FbxCurve],
 ) -> tuple[Extrapolation, Extrapolation] | None:
     """Return the common extrapolation of curves; None if they differ."""
-    convert = _convert_extrapolation
-    extrapolation_pairs = {(convert(c, c.pre), convert(c, c.post)) for c in curves}
+    convert_extrapolation = _convert_extrapolation
+    extrapolation_pairs = {
+        (convert_extrapolation(c, c.pre), convert_extrapolation(c, c.post))
+        for c in curves
+    }
     if len(extrapolation_pairs) != 1:
         return None
     ((pre, post),) = extrapolation_pairs
@@ -190,7 +193,7 @@ def _evaluate_slope(
 
 
 def _segment_interpolations(
-    curves: Sequence[_SegmentedCurve], count: int
+    curves: Sequence[_SegmentedCurve], segment_count: int
 ) -> list[Interp] | None:
     """Return the interpolation of each segment; None if it differs by component."""
     is_cubic = np.logical_or.reduce([c.is_cubic & ~c.is_flat for c in curves])
@@ -204,7 +207,9 @@ def _segment_interpolations(
         return None
     interpolation_codes = np.where(is_cubic, 2, np.where(is_stepped, 1, 0))
     interpolations = (Interp.LINEAR, Interp.STEP, Interp.BEZIER)
-    return [interpolations[code] for code in interpolation_codes.tolist()][:count]
+    return [interpolations[code] for code in interpolation_codes.tolist()][
+        :segment_count
+    ]
 
 
 def _common_weights(curves: Sequence[_SegmentedCurve]) -> FloatArray | None:

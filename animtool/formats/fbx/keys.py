@@ -119,7 +119,7 @@ def _attribute_bits(element: Element, diagnostics: FileDiagnostics) -> Any:
 def validate_curve(
     curve: FbxCurve, element: Element, diagnostics: FileDiagnostics
 ) -> FbxCurve:
-    """Return a curve with its extrapolation, compacted; raise if invalid (FBX006)."""
+    """Return a curve with extrapolation and compacted rows (FBX006 if invalid)."""
     times = curve.times
     check_times(times, element, diagnostics)
     for slopes in (curve.out_slopes, curve.in_slopes):

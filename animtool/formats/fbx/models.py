@@ -152,8 +152,10 @@ def _read_model(file: FbxFile, node: FbxObject, parent: int) -> Model:
         return np.array(read_vector(node, name, default, diagnostics))
 
     unit_scale = (1.0, 1.0, 1.0)
-    translation, rotation = read_triple(TRANSLATION), read_triple(ROTATION)
-    base_values = np.stack([translation, rotation, read_triple(SCALING, unit_scale)])
+    translation, base_rotation = read_triple(TRANSLATION), read_triple(ROTATION)
+    base_values = np.stack(
+        [translation, base_rotation, read_triple(SCALING, unit_scale)]
+    )
     has_outer_rotations = bool(read_scalar(node, "RotationActive", 0, diagnostics))
     order_index, pre_angles, post_angles = 0, _ZERO_VECTOR, _ZERO_VECTOR
     if has_outer_rotations:
@@ -176,11 +178,11 @@ def _read_model(file: FbxFile, node: FbxObject, parent: int) -> Model:
         message += "is not supported"
         diagnostics.fail("FBX004", node.element.location, message)
     geometric_transform = np.eye(4)
-    rotation = rotations_from_angles(
+    base_rotation = rotations_from_angles(
         read_triple("GeometricRotation")[None], XYZ_PRODUCT
     )[0]
     scale = read_triple("GeometricScaling", unit_scale)
-    geometric_transform[:3, :3] = so3.to_matrix(rotation) * scale
+    geometric_transform[:3, :3] = so3.to_matrix(base_rotation) * scale
     geometric_transform[:3, 3] = read_triple("GeometricTranslation")
     return Model(
         node,

@@ -135,8 +135,8 @@ def _inverse_scales(scales: FloatArray) -> FloatArray:
 
 
 def _replace_zeros(scales: FloatArray) -> FloatArray:
-    smallest = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
-    return np.asarray(np.where(np.abs(scales) < MIN_SCALE, smallest, scales))
+    signed_minimum = np.where(scales < 0, -MIN_SCALE, MIN_SCALE)
+    return np.asarray(np.where(np.abs(scales) < MIN_SCALE, signed_minimum, scales))
 
 
 class AnimatedComponents:
@@ -196,11 +196,11 @@ def list_joint_sources(scene: FbxScene, nodes: Sequence[int]) -> list[JointSourc
 def _has_non_uniform_scale(scene: FbxScene, i: int) -> bool:
     """Return whether a node's scale is non-uniform at any time of any take."""
     nodes = scale_chain(scene.models, i)
-    keys = [(scene.models[node].object.id, SCALING) for node in nodes]
+    track_keys = [(scene.models[node].object.id, SCALING) for node in nodes]
     for take in (None, *scene.takes):
         ticks = _REST_TICKS
         if take is not None:
-            tracks = [take.tracks[key] for key in keys if key in take.tracks]
+            tracks = [take.tracks[key] for key in track_keys if key in take.tracks]
             if not tracks:
                 continue
             curves = [curve for track in tracks for curve in track.curves()]

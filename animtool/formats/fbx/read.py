@@ -33,7 +33,7 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
 # Codes for an unknown character, and for one of several.
-CHARACTER_CODES = "FBX014", "FBX115"
+CHARACTER_FAULT_CODES = "FBX014", "FBX115"
 TAKE_MESSAGES = TakeMessages(
     "take",
     "has no animation of the character: it keeps its saved pose",
@@ -69,7 +69,7 @@ def read_fbx(
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
     scene = open_fbx(path, up)
-    character, notices = choose_character(scene, prim_path, *CHARACTER_CODES)
+    character, notices = choose_character(scene, prim_path, *CHARACTER_FAULT_CODES)
     fbx_rig = build_rig(
         scene, character, path.stem, None if unit is None else unit.meters
     )
@@ -116,7 +116,7 @@ def read_fbx_rig(path: Path, prim_path: str | None = None) -> Rig:
         prim_path: The character, as in `read_fbx`.
     """
     scene = open_fbx(path)
-    character, notices = choose_character(scene, prim_path, *CHARACTER_CODES)
+    character, notices = choose_character(scene, prim_path, *CHARACTER_FAULT_CODES)
     fbx_rig = build_rig(scene, character, Path(path).stem)
     notices = [*scene.file.diagnostics.notices, *notices, *fbx_rig.notices]
     notices += scale_notice(fbx_rig, str(path))

@@ -80,25 +80,25 @@ def build_rig(
         name: Name of the rig.
         meters_per_unit: Size of the file's unit [m]; None is the stated unit.
     """
-    unit = scene.settings.meters if meters_per_unit is None else meters_per_unit
+    unit_meters = scene.settings.meters if meters_per_unit is None else meters_per_unit
     joint_nodes = [n for n in character.nodes if not _is_skinned_mesh_only(scene, n)]
     joint_nodes = joint_nodes or list(character.nodes)
     sources = list_joint_sources(scene, joint_nodes)
-    scales, is_baked = find_uniform_scales(scene, sources)
+    saved_scales, is_baked = find_uniform_scales(scene, sources)
     joint_of_node = np.full(len(scene.models), -1, np.int64)
     baked_scales = np.ones(len(scene.models))
     parents, factors = [], np.ones(len(sources))
     for j, source in enumerate(sources):
         parent = scene.models[source.model].parent
         scale_above = 1.0 if parent < 0 else float(baked_scales[parent])
-        factors[j] = scale_above * unit
+        factors[j] = scale_above * unit_meters
         is_inner = source.part is TransformPart.INNER
         parents.append(
             j - 1 if is_inner else -1 if parent < 0 else int(joint_of_node[parent])
         )
         if source.part is not TransformPart.OUTER:
             joint_of_node[source.model] = j
-            scale = float(scales[j].mean()) if is_baked[j] else 1.0
+            scale = float(saved_scales[j].mean()) if is_baked[j] else 1.0
             baked_scales[source.model] = scale_above * scale
     names, notices = _joint_names(scene, sources)
     rest_transforms = NodeTransforms(scene, None, np.zeros(1, np.int64))
@@ -114,10 +114,10 @@ def build_rig(
         if file_name != names[j] and source.part is not TransformPart.OUTER:
             joint = replace(joint, source_name=file_name)
         rig_joints.append(joint)
-    scales = np.where(is_baked[:, None], 1.0, scales)
-    rig = Rig(name, tuple(rig_joints), unit, scene.settings.up)
+    saved_scales = np.where(is_baked[:, None], 1.0, saved_scales)
+    rig = Rig(name, tuple(rig_joints), unit_meters, scene.settings.up)
     fbx_rig = FbxRig(
-        rig, sources, joint_of_node, baked_scales, factors, is_baked, scales
+        rig, sources, joint_of_node, baked_scales, factors, is_baked, saved_scales
     )
     fbx_rig.notices += notices
     _add_shapes_and_meshes(scene, character, fbx_rig)
@@ -128,7 +128,7 @@ def build_rig(
 def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fault]:
     """Return a warning about skinned meshes whose nodes were moved after binding."""
     rest = NodeTransforms(scene, None, np.zeros(1, np.int64))
-    names = []
+    moved_names = []
     for node in character.nodes:
         skin_index = scene.nodes[node].skin
         if skin_index < 0:
@@ -144,11 +144,11 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
         max_magnitude = float(np.abs(bind[:3]).max())
         deviation = np.abs(rest.world_matrices(node)[0] - bind).max()
         if is_animated or deviation > BIND_TOLERANCE * max_magnitude:
-            names.append(repr(scene.models[node].name))
-    if not names:
+            moved_names.append(repr(scene.models[node].name))
+    if not moved_names:
         return []
     message = "skinned meshes follow only their bones, but their own nodes were moved "
-    message += f"after binding: {listed(names, MAX_LISTED_MESHES)}"
+    message += f"after binding: {listed(moved_names, MAX_LISTED_MESHES)}"
     hint = "as in Blender and glTF; Maya also moves them with their node"
     path = str(scene.path)
     return [Fault("FBX117", message, path, (), hint, Severity.WARNING)]
@@ -242,13 +242,18 @@ def _full_percent(channel: ShapeChannel) -> float:
 def _build_shape(
     name: str, mesh: str, channel: ShapeChannel, geometric_transform: FloatArray
 ) -> Shape:
-    rotation, full_percent = geometric_transform[:3, :3].T, _full_percent(channel)
+    transposed_linear, full_percent = (
+        geometric_transform[:3, :3].T,
+        _full_percent(channel),
+    )
     inbetweens = [
-        Inbetween(weight_percent / full_percent, LoadedArray(offsets @ rotation))
+        Inbetween(
+            weight_percent / full_percent, LoadedArray(offsets @ transposed_linear)
+        )
         for weight_percent, offsets in channel.targets[:-1]
     ]
     inbetweens.sort(key=lambda inbetween: inbetween.at)
-    full_offsets = LoadedArray(channel.targets[-1][1] @ rotation)
+    full_offsets = LoadedArray(channel.targets[-1][1] @ transposed_linear)
     return Shape(name, mesh, full_offsets, None, tuple(inbetweens))
 
 

@@ -40,8 +40,8 @@ MAX_MEASURED_KEYS = 256
 def clock_ticks(clock: Clock, frame_numbers: FloatArray) -> IntArray:
     """Return the times of frame numbers [ticks]; frame 0 is at time 0."""
     # One product of two floats keeps frames as exact as their ticks.
-    per_frame = float(Fraction(TICKS_PER_SECOND) / clock.fps)
-    ticks = np.clip(frame_numbers * per_frame, -MAX_TICKS, MAX_TICKS)
+    ticks_per_frame = float(Fraction(TICKS_PER_SECOND) / clock.fps)
+    ticks = np.clip(frame_numbers * ticks_per_frame, -MAX_TICKS, MAX_TICKS)
     return np.rint(ticks).astype(np.int64)
 
 
@@ -167,8 +167,8 @@ def find_frame_range(
     last_frame = round(last) if _is_on_frame(last) else math.ceil(last)
     last_frame = max(first_frame, last_frame)
     count = last_frame - first_frame + 1
-    values = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
-    if count > MAX_FRAMES or values > MAX_TAKE_VALUES:
+    value_count = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
+    if count > MAX_FRAMES or value_count > MAX_TAKE_VALUES:
         message = (
             f"take {take.name!r}: {(end_ticks - start_ticks) / TICKS_PER_SECOND:.6g} s "
             f"at {rate_label(rate)} are {count} frames of {values_per_frame} numbers, "

@@ -106,7 +106,7 @@ def _build_nodes(
     models: list[Model], meshes: dict[int, FbxGeometry]
 ) -> tuple[Node, ...]:
     skinned_nodes = [i for i, mesh in meshes.items() if mesh.clusters]
-    skins = {node: skin for skin, node in enumerate(skinned_nodes)}
+    skin_of_node = {node: skin for skin, node in enumerate(skinned_nodes)}
     children: list[list[int]] = [[] for _ in models]
     for i, model in enumerate(models):
         if model.parent >= 0:
@@ -118,7 +118,7 @@ def _build_nodes(
             tuple(children[i]),
             *NO_TRANSFORM,
             mesh=i if i in meshes else -1,
-            skin=skins.get(i, -1),
+            skin=skin_of_node.get(i, -1),
         )
         for i, model in enumerate(models)
     )
@@ -155,7 +155,7 @@ def _ignored_labels(file: FbxFile) -> tuple[str, ...]:
 
 
 def _warn_of_constraints(file: FbxFile) -> None:
-    """Warn about constraints, which are not evaluated (FBX107)."""
+    """Warn that the file's constraints are not evaluated (FBX107)."""
     constraints = file.objects_of_kind("Constraint")
     if constraints:
         names = [repr(constraint.name) for constraint in constraints]

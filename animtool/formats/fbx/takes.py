@@ -241,15 +241,18 @@ class _StackReader:
         if mode not in {0, 1, 2}:
             message = f"layer {layer_object.name!r}: blend mode {mode} is not supported"
             diagnostics.fail("FBX004", layer_object.element.location, message)
-        curve, weight = None, read_scalar(layer_object, "Weight", 100.0, diagnostics)
+        weight_curve, weight = (
+            None,
+            read_scalar(layer_object, "Weight", 100.0, diagnostics),
+        )
         for source_id, name in self.file.incoming_connections.get(layer_object.id, ()):
             curve_node = self.file.objects.get(source_id)
             if name == "Weight" and curve_node is not None:
-                curve = next(iter(self._node_curves(curve_node).values()), None)
+                weight_curve = next(iter(self._node_curves(curve_node).values()), None)
                 weight = read_scalar(curve_node, "d|Weight", weight, diagnostics)
         return Layer(
             min(max(weight / 100.0, 0.0), 1.0),
-            curve,
+            weight_curve,
             mode,
             int(read_scalar(layer_object, "RotationAccumulationMode", 0, diagnostics))
             == 0,
@@ -345,5 +348,5 @@ def _read_old_track(
         if default is not None:
             defaults[k] = read_number(default, 0, file.diagnostics)
         curves[k] = read_channel_curve(axis_channel, file.diagnostics, layout)
-    values = LayerValues(Layer(), True, defaults, curves)
-    take.tracks.setdefault((object_id, name), PropertyTrack(name, [values]))
+    layer_values = LayerValues(Layer(), True, defaults, curves)
+    take.tracks.setdefault((object_id, name), PropertyTrack(name, [layer_values]))

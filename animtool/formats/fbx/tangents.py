@@ -41,9 +41,9 @@ def compute_key_slopes(
     is_cubic = (flags & STEPPED == 0) & (flags & CURVED != 0)
     is_tcb = is_cubic & (flags & TCB != 0)
     is_auto = is_cubic & ~is_tcb & (flags & USER == 0)
-    steps = np.diff(seconds)
+    durations = np.diff(seconds)
     # Slopes between keys; 0 between keys of equal time.
-    chords = np.diff(values) / np.where(steps > 0, steps, np.inf)
+    chords = np.diff(values) / np.where(durations > 0, durations, np.inf)
     out_slopes, in_slopes = key_data[:, 0].copy(), key_data[:, 1].copy()
     is_straight = (flags & (STEPPED | CURVED)) == 0
     straight_slopes = np.append(chords, 0.0)[is_straight]
@@ -106,7 +106,7 @@ def _end_slope(key_flags: int, chord: float, bias: float) -> float:
 
 
 def _inner_slopes(
-    k: IntArray,
+    key_indices: IntArray,
     seconds: FloatArray,
     values: FloatArray,
     flags: IntArray,
@@ -114,11 +114,18 @@ def _inner_slopes(
     chords: FloatArray,
     bias: FloatArray,
 ) -> FloatArray:
-    """Return the slopes of automatic keys ``k`` with neighbours on both sides [1/s]."""
-    key_flags, chord_before, chord_after = flags[k], chords[k - 1], chords[k]
-    time_before, time_after = seconds[k] - seconds[k - 1], seconds[k + 1] - seconds[k]
+    """Return the slopes of automatic keys that have neighbours on both sides [1/s]."""
+    key_flags, chord_before, chord_after = (
+        flags[key_indices],
+        chords[key_indices - 1],
+        chords[key_indices],
+    )
+    time_before, time_after = (
+        seconds[key_indices] - seconds[key_indices - 1],
+        seconds[key_indices + 1] - seconds[key_indices],
+    )
     duration = np.where(time_before + time_after > 0, time_before + time_after, np.inf)
-    slope = (values[k + 1] - values[k - 1]) / duration
+    slope = (values[key_indices + 1] - values[key_indices - 1]) / duration
     fraction = time_before / duration
     smooth_slope = 0.5 * slope + 0.5 * (
         chord_before * (1.0 - fraction) + chord_after * fraction
@@ -137,16 +144,18 @@ def _inner_slopes(
     slope = np.where(key_flags & TIME_INDEPENDENT != 0, slope, slopes)
     # Slopes are limited so that handles stay within the values of their segment.
     direction = np.where(slope >= 0, 1.0, -1.0)
-    max_slope = np.full(len(k), np.inf)
+    max_slope = np.full(len(key_indices), np.inf)
     for chord, weight in (
-        (chord_before, weights[k - 1, 1]),
-        (chord_after, weights[k, 0]),
+        (chord_before, weights[key_indices - 1, 1]),
+        (chord_after, weights[key_indices, 0]),
     ):
         chord_limit = direction * chord / np.where(weight > 0, weight, np.inf)
         max_slope = np.minimum(max_slope, np.maximum(chord_limit, 0.0))
     max_slope = np.where(key_flags & PROGRESSIVE != 0, max_slope, np.inf)
     slope = direction * np.minimum(direction * slope, max_slope)
-    is_extremum = (values[k] == values[k - 1]) | (values[k] == values[k + 1])
+    is_extremum = (values[key_indices] == values[key_indices - 1]) | (
+        values[key_indices] == values[key_indices + 1]
+    )
     return np.asarray(np.where((key_flags & CLAMPED != 0) & is_extremum, 0.0, slope))
 
 

@@ -57,10 +57,10 @@ class SparseValues:
     """Sparse elements of an accessor, which replace those in its view."""
 
     count: int
-    index_buffer_view: int
+    index_view: int
     index_offset: int
     index_dtype: np.dtype[Any]
-    value_buffer_view: int
+    value_view: int
     value_offset: int
 
 
@@ -124,7 +124,7 @@ class Accessors:
             self.by_index.append(None if is_unused else self._read_accessor(item))
 
     def get(self, index: int) -> Accessor:
-        """Return the accessor at an index, which must be one that is read."""
+        """Return the accessor at an index, which must be that of an accessor in use."""
         accessor = self.by_index[index]
         assert accessor is not None
         return accessor
@@ -192,15 +192,11 @@ class Accessors:
         self, accessor: Accessor, sparse: SparseValues, base: AnyArray
     ) -> AnyArray:
         pointer = f"{accessor.pointer}/sparse"
-        index_buffer_view = self._require_view(
-            sparse.index_buffer_view, f"{pointer}/indices"
-        )
-        value_buffer_view = self._require_view(
-            sparse.value_buffer_view, f"{pointer}/values"
-        )
+        index_view = self._require_view(sparse.index_view, f"{pointer}/indices")
+        value_view = self._require_view(sparse.value_view, f"{pointer}/values")
         dtype = COMPONENT_TYPES[accessor.component_type]
         shape, offset = (sparse.count, 1), sparse.index_offset
-        rows = self._read_elements(index_buffer_view, offset, shape, sparse.index_dtype)
+        rows = self._read_elements(index_view, offset, shape, sparse.index_dtype)
         indices = rows[:, 0].astype(np.int64)
         if (np.diff(indices) <= 0).any() or indices[-1] >= accessor.count:
             message = f"sparse indices must ascend, below {accessor.count}"
@@ -208,7 +204,7 @@ class Accessors:
         values = base.copy()
         shape = sparse.count, accessor.width
         values[indices] = self._read_elements(
-            value_buffer_view, sparse.value_offset, shape, dtype
+            value_view, sparse.value_offset, shape, dtype
         )
         return values
 
@@ -325,8 +321,8 @@ class Accessors:
         index_bytes = sparse.count * sparse.index_dtype.itemsize
         value_bytes = sparse.count * accessor.width * dtype.itemsize
         for key, view_index, end in (
-            ("indices", sparse.index_buffer_view, sparse.index_offset + index_bytes),
-            ("values", sparse.value_buffer_view, sparse.value_offset + value_bytes),
+            ("indices", sparse.index_view, sparse.index_offset + index_bytes),
+            ("values", sparse.value_view, sparse.value_offset + value_bytes),
         ):
             sparse_view = self.views[view_index]
             if sparse_view is not None and end > sparse_view.length:

@@ -70,27 +70,30 @@ class GltfTrack:
 
 
 def interpolate_tracks(
-    tracks: Sequence[GltfTrack], segment: IntArray, times: FloatArray
+    tracks: Sequence[GltfTrack], segments: IntArray, times: FloatArray
 ) -> FloatArray:
     """Return values ``(F, N, W)`` of N tracks within segments of their keys.
 
-    ``tracks`` have the same path, key times and interpolation; ``segment`` is the key
+    ``tracks`` have the same path, key times and interpolation; ``segments`` is the key
     before each time.
     """
     first_track, path = tracks[0], tracks[0].path
-    start_times, end_times = first_track.times[segment], first_track.times[segment + 1]
+    start_times, end_times = (
+        first_track.times[segments],
+        first_track.times[segments + 1],
+    )
     duration = (end_times - start_times)[:, None, None]
     fraction = np.clip((times - start_times)[:, None, None] / duration, 0.0, 1.0)
-    start_values = np.stack([track.values[segment] for track in tracks], axis=1)
-    end_values = np.stack([track.values[segment + 1] for track in tracks], axis=1)
+    start_values = np.stack([track.values[segments] for track in tracks], axis=1)
+    end_values = np.stack([track.values[segments + 1] for track in tracks], axis=1)
     if first_track.interpolation is SamplerInterpolation.STEP:
         values = np.where(fraction < 1.0, start_values, end_values)
         return _normalize_rotations(values, path)
     if first_track.interpolation is SamplerInterpolation.CUBIC:
         all_out_slopes = [t.out_slopes for t in tracks if t.out_slopes is not None]
         all_in_slopes = [t.in_slopes for t in tracks if t.in_slopes is not None]
-        out_slopes = np.stack([slopes[segment] for slopes in all_out_slopes], axis=1)
-        in_slopes = np.stack([slopes[segment + 1] for slopes in all_in_slopes], axis=1)
+        out_slopes = np.stack([slopes[segments] for slopes in all_out_slopes], axis=1)
+        in_slopes = np.stack([slopes[segments + 1] for slopes in all_in_slopes], axis=1)
         values = _hermite(
             start_values, out_slopes, in_slopes, end_values, fraction, duration
         )
@@ -115,12 +118,12 @@ def _hermite(
 ) -> FloatArray:
     """Return values of cubic Hermite segments, from slopes [1/s]."""
     t = fraction
-    t2, t3 = t * t, t * t * t
+    t_squared, t_cubed = t * t, t * t * t
     return np.asarray(
-        (2 * t3 - 3 * t2 + 1) * start_values
-        + duration * (t3 - 2 * t2 + t) * out_slope
-        + (3 * t2 - 2 * t3) * end_values
-        + duration * (t3 - t2) * in_slope
+        (2 * t_cubed - 3 * t_squared + 1) * start_values
+        + duration * (t_cubed - 2 * t_squared + t) * out_slope
+        + (3 * t_squared - 2 * t_cubed) * end_values
+        + duration * (t_cubed - t_squared) * in_slope
     )
 
 
@@ -162,7 +165,7 @@ class _SamplerReader:
         self.items = item.children("samplers")
         self.accessors = accessors
         self.accessor_pairs = [self._read_accessor_pair(s) for s in self.items]
-        self._times: dict[int, tuple[FloatArray, bool]] = {}
+        self._key_times_by_accessor: dict[int, tuple[FloatArray, bool]] = {}
 
     def _read_accessor_pair(self, item: JsonItem) -> tuple[int, int]:
         indices = []
@@ -187,7 +190,7 @@ class _SamplerReader:
         Warn about stated bounds that differ from the times.
         """
         item, accessor_index = self.items[index], self.accessor_pairs[index][0]
-        if accessor_index not in self._times:
+        if accessor_index not in self._key_times_by_accessor:
             accessor = self.accessors.by_index[accessor_index]
             if accessor is None or not accessor.has_type("SCALAR", FLOAT_COMPONENT):
                 item.fail("input", "times must be float scalars", "GLT011")
@@ -196,8 +199,11 @@ class _SamplerReader:
             if self.accessors.has_data(accessor_index) or not has_bounds:
                 pointer = item.pointer_to("input")
                 check_bounds(accessor.item, times[:, None], required_by=pointer)
-            self._times[accessor_index] = times, bool((np.diff(times) > 0).all())
-        return self._times[accessor_index]
+            self._key_times_by_accessor[accessor_index] = (
+                times,
+                bool((np.diff(times) > 0).all()),
+            )
+        return self._key_times_by_accessor[accessor_index]
 
 
 def read_animations(
@@ -365,8 +371,11 @@ def _check_unit_length(
     if math.isnan(max_square):
         check_finite(keys, accessor)
         # Their squares exceed the range of float32.
-        squares = np.square(keys, dtype=np.float64).sum(axis=1)
-        min_square, max_square = float(squares.min()), float(squares.max())
+        squared_lengths = np.square(keys, dtype=np.float64).sum(axis=1)
+        min_square, max_square = (
+            float(squared_lengths.min()),
+            float(squared_lengths.max()),
+        )
     if min_square <= 0.0:
         message = "a rotation key has length 0"
         samplers.items[index].diagnostics.fail("GLT010", accessor.pointer, message)

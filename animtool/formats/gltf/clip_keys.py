@@ -43,18 +43,18 @@ def build_clip(
     channels: list[ClipChannel] = []
     spline_count = added_key_count = 0
     for path, rest_values in sampler.rest_values.items():
-        tracks = {rig_track.row: rig_track for rig_track in sampler.tracks[path]}
+        track_by_row = {rig_track.row: rig_track for rig_track in sampler.tracks[path]}
         default_values = _default_channel_values(path, gltf_rig)
         for row in range(len(rest_values)):
             target = _clip_target(path, row, gltf_rig)
-            if row not in tracks:
+            if row not in track_by_row:
                 if np.abs(rest_values[row] - default_values[row]).max() > 0:
                     channels.append(
                         _static_channel(target, rest_values[row], path, frames)
                     )
                 continue
             channel, channel_key_count = _track_channel(
-                target, tracks[row], path, frames
+                target, track_by_row[row], path, frames
             )
             channels.append(channel)
             spline_count = spline_count + (channel_key_count > 0)
@@ -167,26 +167,31 @@ def _slerp_channel(
 ) -> tuple[ClipChannel, int]:
     """Return a cubic rotation as slerp keys, and the number of added keys."""
     time_arrays = [track.times]
-    starts, ends = track.times[:-1], track.times[1:]
+    start_times, end_times = track.times[:-1], track.times[1:]
     for _ in range(MAX_HALVINGS):
-        if not len(starts):
+        if not len(start_times):
             break
-        middles = (starts + ends) / 2
-        middle_values = so3.slerp(track.sample(starts), track.sample(ends), 0.5)
-        quarter_values = so3.slerp(track.sample(starts), track.sample(ends), 0.25)
+        middles = (start_times + end_times) / 2
+        middle_values = so3.slerp(
+            track.sample(start_times), track.sample(end_times), 0.5
+        )
+        quarter_values = so3.slerp(
+            track.sample(start_times), track.sample(end_times), 0.25
+        )
         errors = np.maximum(
             so3.angle_between(middle_values, track.sample(middles)),
             so3.angle_between(
-                quarter_values, track.sample(starts + (ends - starts) / 4)
+                quarter_values,
+                track.sample(start_times + (end_times - start_times) / 4),
             ),
         )
         needs_split = errors > SLERP_TOLERANCE
-        starts = starts[needs_split]
-        ends = ends[needs_split]
+        start_times = start_times[needs_split]
+        end_times = end_times[needs_split]
         middles = middles[needs_split]
         time_arrays.append(middles)
-        starts = np.concatenate([starts, middles])
-        ends = np.concatenate([middles, ends])
+        start_times = np.concatenate([start_times, middles])
+        end_times = np.concatenate([middles, end_times])
     all_times = np.unique(np.concatenate(time_arrays))
     values = so3.align_signs(track.sample(all_times))
     channel = _clip_channel(

@@ -40,7 +40,7 @@ class Container:
 
 
 def read_container(path: Path, diagnostics: FileDiagnostics) -> Container:
-    """Return the contents of a .gltf or .glb, told apart by suffix and first bytes."""
+    """Return the contents of a .gltf or .glb, recognised by suffix and first bytes."""
     content = memoryview(read_input(path))
     is_glb = path.suffix.lower() != ".gltf" or bytes(content[:4]) == GLB_MAGIC
     if not is_glb:
@@ -155,9 +155,9 @@ def _syntax_fault(error: json.JSONDecodeError, path: str, *, is_glb: bool) -> Fa
     problem = json_problem(error)
     hint = problem.repair or "copy or export the file again"
     if not is_glb:
-        place = problem.line
+        line = problem.line
         return Fault(
-            "GLT001", problem.message, path, (place,), hint, column=problem.column
+            "GLT001", problem.message, path, (line,), hint, column=problem.column
         )
     message = f"the JSON chunk cannot be read: {problem.message}, at line "
     message += f"{problem.line}, column {problem.column} of the chunk"

@@ -250,7 +250,7 @@ def _check_geometry(gltf: Gltf) -> None:
         checked_mesh_skins.add((node.mesh, node.skin))
         for primitive in gltf.meshes[node.mesh].primitives:
             _require_mesh_data(gltf.accessors, primitive)
-            if primitive.joints and node.skin >= 0:
+            if primitive.joint_accessors and node.skin >= 0:
                 joint_count = len(gltf.skins[node.skin].joints)
                 read_skin_weights(primitive, joint_count, gltf.accessors)
     roots = find_root_nodes(gltf.nodes)
@@ -282,11 +282,11 @@ def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
 def _require_mesh_data(accessors: Accessors, primitive: Primitive) -> None:
     """Read the accessors of a mesh primitive; raise if data is missing."""
     for index in (
-        primitive.position,
+        primitive.position_accessor,
         primitive.index_accessor,
-        *primitive.joints,
-        *primitive.weights,
-        *(target.position for target in primitive.targets),
+        *primitive.joint_accessors,
+        *primitive.weight_accessors,
+        *(target.position_accessor for target in primitive.targets),
     ):
         if index >= 0:
             accessors.numbers(index)

@@ -36,18 +36,18 @@ BOUNDS_TOLERANCE = 1e-6
 class MorphTarget:
     """A morph target: accessor indices of its offsets; -1 if there is none."""
 
-    position: int
-    normal: int
+    position_accessor: int
+    normal_accessor: int
 
 
 @dataclass(frozen=True, slots=True)
 class Primitive:
     """A primitive of a mesh: accessor indices of its vertices."""
 
-    position: int  # -1 if there are no points
-    normal: int
-    joints: tuple[int, ...]
-    weights: tuple[int, ...]
+    position_accessor: int  # -1 if there are no points
+    normal_accessor: int
+    joint_accessors: tuple[int, ...]
+    weight_accessors: tuple[int, ...]
     index_accessor: int
     mode: int
     targets: tuple[MorphTarget, ...]
@@ -56,7 +56,13 @@ class Primitive:
     @property
     def vertex_key(self) -> tuple[Any, ...]:
         """Accessors of the vertices; equal if primitives share vertices."""
-        return self.position, self.normal, self.joints, self.weights, self.targets
+        return (
+            self.position_accessor,
+            self.normal_accessor,
+            self.joint_accessors,
+            self.weight_accessors,
+            self.targets,
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -372,9 +378,13 @@ def read_skin_weights(
 
     ``joint_count`` is the number of joints of the skin.
     """
-    index_sets = [accessors.numbers(a).astype(np.int64) for a in primitive.joints]
+    index_sets = [
+        accessors.numbers(a).astype(np.int64) for a in primitive.joint_accessors
+    ]
     indices = np.concatenate(index_sets, axis=1)
-    weights = np.concatenate([accessors.floats(a) for a in primitive.weights], axis=1)
+    weights = np.concatenate(
+        [accessors.floats(a) for a in primitive.weight_accessors], axis=1
+    )
     diagnostics = accessors.diagnostics
     _check_duplicate_joints(primitive, indices, weights, diagnostics)
     is_out_of_range = indices >= joint_count
@@ -393,7 +403,9 @@ def read_skin_weights(
     weight_sums = weights.sum(axis=1)
     sum_errors = np.abs(weight_sums - 1.0)
     pointer = f"{primitive.pointer}/attributes/WEIGHTS_0"
-    has_data = all(accessors.has_data(accessor) for accessor in primitive.weights)
+    has_data = all(
+        accessors.has_data(accessor) for accessor in primitive.weight_accessors
+    )
     if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
         weight_sum = weight_sums[sum_errors.argmax()]
         message = f"weights of a vertex have the sum {weight_sum:.6g}: they are "

@@ -33,7 +33,7 @@ from animtool.rig.skeleton import Rig
 
 MAX_LISTED_CONTENTS = 8
 # Codes for an unknown character, and for one of several.
-CHARACTER_CODES = "GLT014", "GLT109"
+CHARACTER_FAULT_CODES = "GLT014", "GLT109"
 TAKE_MESSAGES = TakeMessages(
     "clip",
     "has no animation: the rig is read at rest",
@@ -67,9 +67,9 @@ def read_gltf(
     path = Path(path)
     rate = None if fps is None else rate_option(fps)
     gltf = open_gltf(path)
-    character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
-    meters = LengthUnit.M if unit is None else unit
-    gltf_rig = build_rig(gltf, character, path.stem, meters.meters, up or UpAxis.Y)
+    character, notices = choose_character(gltf, prim_path, *CHARACTER_FAULT_CODES)
+    length_unit = LengthUnit.M if unit is None else unit
+    gltf_rig = build_rig(gltf, character, path.stem, length_unit.meters, up or UpAxis.Y)
     names = unique_clip_names(gltf.animations)
     joint_counts = {
         i: count_animated_joints(gltf_rig, animation)
@@ -108,7 +108,7 @@ def read_gltf_rig(path: Path, prim_path: str | None = None) -> Rig:
         prim_path: The character, as in `read_gltf`.
     """
     gltf = open_gltf(path)
-    character, notices = choose_character(gltf, prim_path, *CHARACTER_CODES)
+    character, notices = choose_character(gltf, prim_path, *CHARACTER_FAULT_CODES)
     gltf_rig = build_rig(gltf, character, path.stem)
     notices = [*gltf.diagnostics.notices, *notices, *gltf_rig.notices]
     notices += scale_notice(gltf_rig, str(path))

@@ -113,7 +113,9 @@ def _is_skinned_mesh_only(gltf: Gltf, node: int) -> bool:
     if gltf_node.skin < 0 or gltf_node.children or gltf_node.mesh < 0:
         return False
     primitives = gltf.meshes[gltf_node.mesh].primitives
-    is_skinned = bool(primitives) and all(primitive.joints for primitive in primitives)
+    is_skinned = bool(primitives) and all(
+        primitive.joint_accessors for primitive in primitives
+    )
     return is_skinned and not any(node in skin.joints for skin in gltf.skins)
 
 

@@ -204,7 +204,7 @@ def reduce_keys(keys: SamplerKeys, tolerance: float) -> SamplerKeys:
 def _segment_distances(
     start: FloatArray, end: FloatArray, fraction: FloatArray, values: FloatArray
 ) -> FloatArray:
-    """Return distances of samples ``(F,)`` from the segment between two samples."""
+    """Return distances ``(F,)`` of samples from the segment between two samples."""
     if values.shape[1] == 4:
         segment_values = so3.slerp(start[None], end[None], fraction)
         return so3.angle_between(segment_values, values)

@@ -140,8 +140,8 @@ def _group_tracks(rig_tracks: list[RigTrack]) -> list[list[int]]:
     """Return groups of the indices of tracks with equal key times and interpolation."""
     groups: dict[tuple[int, str], list[int]] = {}
     for k, rig_track in enumerate(rig_tracks):
-        key = id(rig_track.track.times), str(rig_track.track.interpolation)
-        groups.setdefault(key, []).append(k)
+        group_key = id(rig_track.track.times), str(rig_track.track.interpolation)
+        groups.setdefault(group_key, []).append(k)
     return list(groups.values())
 
 
@@ -185,8 +185,8 @@ def _find_segments(
 
 def _normalize_rows(rotations: FloatArray) -> None:
     """Normalise rotations ``(F, J, 4)`` in place."""
-    squares = np.einsum("fjc,fjc->fj", rotations, rotations)
-    np.divide(rotations, np.sqrt(squares)[:, :, None], out=rotations)
+    squared_lengths = np.einsum("fjc,fjc->fj", rotations, rotations)
+    np.divide(rotations, np.sqrt(squared_lengths)[:, :, None], out=rotations)
 
 
 def _align_signs(rotations: FloatArray, previous: FloatArray | None) -> None:
@@ -290,11 +290,11 @@ def _weight_tracks(
             if track.node < 0:
                 is_animated = track.mesh == gltf_node.mesh and gltf_node.weights is None
             if is_animated and track.weight_index in {-1, target}:
-                track_by_row.setdefault(row, _weight_track(track, target))
+                track_by_row.setdefault(row, _single_weight_track(track, target))
     return [(TargetPath.WEIGHTS, RigTrack(r, t)) for r, t in track_by_row.items()]
 
 
-def _weight_track(track: GltfTrack, target: int) -> GltfTrack:
+def _single_weight_track(track: GltfTrack, target: int) -> GltfTrack:
     """Return the keys of one weight of a track."""
     if track.weight_index >= 0 or track.values.shape[1] == 1:
         return track

@@ -99,12 +99,14 @@ def _shape_names(
 def shared_vertices(gltf: Gltf, node: int) -> list[SharedVertices]:
     """Return the distinct vertex sets of a mesh's primitives."""
     vertex_sets: dict[object, SharedVertices] = {}
-    first = 0
+    first_vertex = 0
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
-        if primitive.position >= 0 and primitive.vertex_key not in vertex_sets:
-            count = gltf.accessors.get(primitive.position).count
-            vertex_sets[primitive.vertex_key] = SharedVertices(primitive, first, count)
-            first += count
+        if primitive.position_accessor >= 0 and primitive.vertex_key not in vertex_sets:
+            count = gltf.accessors.get(primitive.position_accessor).count
+            vertex_sets[primitive.vertex_key] = SharedVertices(
+                primitive, first_vertex, count
+            )
+            first_vertex += count
     return list(vertex_sets.values())
 
 
@@ -114,13 +116,13 @@ def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | 
     first_vertices = {v.primitive.vertex_key: v.first_vertex for v in vertex_sets}
     faces = []
     for primitive in gltf.meshes[gltf.nodes[node].mesh].primitives:
-        if primitive.position >= 0:
-            count = gltf.accessors.get(primitive.position).count
+        if primitive.position_accessor >= 0:
+            count = gltf.accessors.get(primitive.position_accessor).count
             triangles = build_triangles(primitive, count, gltf.accessors)
             faces.append(triangles + first_vertices[primitive.vertex_key])
     if not sum(map(len, faces)):
         return None
-    points = [gltf.accessors.floats(v.primitive.position) for v in vertex_sets]
+    points = [gltf.accessors.floats(v.primitive.position_accessor) for v in vertex_sets]
     skin, geom_bind = _build_skin(gltf, node, vertex_sets, binder)
     bind = tuple(geom_bind.ravel().tolist())
     normals = _vertex_normals(gltf, vertex_sets)
@@ -138,10 +140,12 @@ def _build_mesh(gltf: Gltf, node: int, name: str, binder: SkinBinder) -> Mesh | 
 def _vertex_normals(
     gltf: Gltf, vertex_sets: list[SharedVertices]
 ) -> LoadedArray | None:
-    if any(vertices.primitive.normal < 0 for vertices in vertex_sets):
+    if any(vertices.primitive.normal_accessor < 0 for vertices in vertex_sets):
         return None
     accessors = gltf.accessors
-    rows = [accessors.floats(vertices.primitive.normal) for vertices in vertex_sets]
+    rows = [
+        accessors.floats(vertices.primitive.normal_accessor) for vertices in vertex_sets
+    ]
     return LoadedArray(np.concatenate(rows))
 
 
@@ -150,22 +154,28 @@ def _build_skin(
 ) -> tuple[Skin, FloatArray]:
     """Return the skin of a mesh, bound to its joints or else to its node."""
     skin_index = gltf.nodes[node].skin
-    if skin_index < 0 or not all(vertices.primitive.joints for vertices in vertex_sets):
+    if skin_index < 0 or not all(
+        vertices.primitive.joint_accessors for vertices in vertex_sets
+    ):
         return binder.bind_node(node, sum(vertices.count for vertices in vertex_sets))
     geom_bind, joints = binder.bind_skin(skin_index)
     influences = [
         read_skin_weights(v.primitive, len(joints), gltf.accessors) for v in vertex_sets
     ]
-    width = max(indices.shape[1] for indices, _ in influences)
-    indices = np.concatenate([_pad_columns(values, width) for values, _ in influences])
-    weights = np.concatenate([_pad_columns(values, width) for _, values in influences])
+    influence_count = max(indices.shape[1] for indices, _ in influences)
+    indices = np.concatenate(
+        [_pad_columns(values, influence_count) for values, _ in influences]
+    )
+    weights = np.concatenate(
+        [_pad_columns(values, influence_count) for _, values in influences]
+    )
     blended_count = int((weights.max(axis=1) < 1.0 - BLEND_TOLERANCE).sum())
     _warn_of_equal_binds(gltf, skin_index, blended_count)
     return binder.build_skin("linear", joints, indices, weights), geom_bind
 
 
 def _warn_of_equal_binds(gltf: Gltf, skin_index: int, blended_count: int) -> None:
-    """Warn of a skin that binds all joints alike, though points blend them (GLT119).
+    """Warn if a skin binds all joints alike although points blend them (GLT119).
 
     ``blended_count`` points follow several joints. With one joint for each point, the
     points may be stored in the frames of their joints.
@@ -205,7 +215,9 @@ def _morph_offsets(
 ) -> Iterator[tuple[LoadedArray, LoadedArray | None]]:
     """Yield point and normal offsets of each morph target."""
     vertex_sets = shared_vertices(gltf, node)
-    has_normals = all(vertices.primitive.normal >= 0 for vertices in vertex_sets)
+    has_normals = all(
+        vertices.primitive.normal_accessor >= 0 for vertices in vertex_sets
+    )
     for target in range(gltf.meshes[gltf.nodes[node].mesh].target_count):
         targets = [vertices.primitive.targets[target] for vertices in vertex_sets]
         deltas, normals = (
@@ -216,8 +228,8 @@ def _morph_offsets(
                 ]
             )
             for indices in (
-                [target.position for target in targets],
-                [target.normal for target in targets],
+                [target.position_accessor for target in targets],
+                [target.normal_accessor for target in targets],
             )
         )
         has_normal_offsets = has_normals and normals.any()

@@ -34,25 +34,27 @@ def find_unused_indices(json_root: dict[str, Any]) -> UnusedIndices:
     """Return indices that only ignored contents refer to."""
     used_accessors, unread_accessors = {*_other_accessors(json_root)}, set[int]()
     for primitive in _all_primitives(json_root):
-        attribute_lists = _objects([primitive.get("attributes")])
-        for attributes in (*attribute_lists, *_objects(primitive.get("targets"))):
+        attribute_lists = _json_objects([primitive.get("attributes")])
+        for attributes in (*attribute_lists, *_json_objects(primitive.get("targets"))):
             for name, index in attributes.items():
                 if is_number(index):
                     is_read = is_supported_attribute(str(name))
                     (used_accessors if is_read else unread_accessors).add(int(index))
-    accessors = frozenset(unread_accessors - used_accessors)
-    images = _objects(json_root.get("images"))
+    unused_accessors = frozenset(unread_accessors - used_accessors)
+    images = _json_objects(json_root.get("images"))
     unused_views = {_valid_index(i["bufferView"]) for i in images if "bufferView" in i}
     used_views = set[int]()
-    for i, accessor in enumerate(_objects(json_root.get("accessors"))):
-        view_set = unused_views if i in accessors else used_views
+    for i, accessor in enumerate(_json_objects(json_root.get("accessors"))):
+        view_set = unused_views if i in unused_accessors else used_views
         view_set.update(_accessor_views(accessor))
     views = frozenset(unused_views - used_views)
     used_buffers, unused_buffers = {-1}, set[int]()
-    for i, view in enumerate(_objects(json_root.get("bufferViews"))):
+    for i, view in enumerate(_json_objects(json_root.get("bufferViews"))):
         buffer = _valid_index(view.get("buffer"))
         (unused_buffers if i in views else used_buffers).add(buffer)
-    return UnusedIndices(accessors, views, frozenset(unused_buffers - used_buffers))
+    return UnusedIndices(
+        unused_accessors, views, frozenset(unused_buffers - used_buffers)
+    )
 
 
 def is_supported_attribute(attribute: str) -> bool:
@@ -74,7 +76,7 @@ def is_known_attribute(attribute: str) -> bool:
     return is_appearance or is_supported_attribute(attribute)
 
 
-def _objects(value: Any) -> Iterator[dict[str, Any]]:
+def _json_objects(value: Any) -> Iterator[dict[str, Any]]:
     """Yield the objects of a JSON list, and {} for entries that are not objects."""
     for entry in value if isinstance(value, list) else ():
         yield entry if isinstance(entry, dict) else {}
@@ -85,23 +87,23 @@ def _valid_index(value: Any) -> int:
 
 
 def _all_primitives(json_root: dict[str, Any]) -> Iterator[dict[str, Any]]:
-    for mesh in _objects(json_root.get("meshes")):
-        yield from _objects(mesh.get("primitives"))
+    for mesh in _json_objects(json_root.get("meshes")):
+        yield from _json_objects(mesh.get("primitives"))
 
 
 def _other_accessors(json_root: dict[str, Any]) -> Iterator[int]:
     for primitive in _all_primitives(json_root):
         yield _valid_index(primitive.get("indices"))
-    for skin in _objects(json_root.get("skins")):
+    for skin in _json_objects(json_root.get("skins")):
         yield _valid_index(skin.get("inverseBindMatrices"))
-    for animation in _objects(json_root.get("animations")):
-        for sampler in _objects(animation.get("samplers")):
+    for animation in _json_objects(json_root.get("animations")):
+        for sampler in _json_objects(animation.get("samplers")):
             yield _valid_index(sampler.get("input"))
             yield _valid_index(sampler.get("output"))
 
 
 def _accessor_views(accessor: dict[str, Any]) -> Iterator[int]:
     yield _valid_index(accessor.get("bufferView"))
-    for sparse in _objects([accessor.get("sparse")]):
-        for entry in _objects([sparse.get("indices"), sparse.get("values")]):
+    for sparse in _json_objects([accessor.get("sparse")]):
+        for entry in _json_objects([sparse.get("indices"), sparse.get("values")]):
             yield _valid_index(entry.get("bufferView"))

@@ -55,11 +55,11 @@ class _AnimationBuilder:
         """Return whether keys reach a time [s]; a static track is extended to it."""
         if any(keys.times[-1] >= end for *_, keys in self.tracks):
             return True
-        for k, (node, path, keys) in enumerate(self.tracks):
+        for track_index, (node, path, keys) in enumerate(self.tracks):
             if len(keys.times) == 1:
                 times = np.array([keys.times[0], end])
                 extended_keys = SamplerKeys(times, np.repeat(keys.values, 2, axis=0))
-                self.tracks[k] = (node, path, extended_keys)
+                self.tracks[track_index] = (node, path, extended_keys)
                 return True
         return False
 
@@ -269,11 +269,11 @@ def _write_weights(
     weights = take.motion.weights
     if weights is None:
         return []
-    names = [shape.name for shape in take.rig.shapes]
+    shape_names = [shape.name for shape in take.rig.shapes]
     dense_weights = weights.dense()[:, :, 0]
     json_root = animation.builder.json
     for node, shapes in rig_indices.targets.items():
-        shape_indices = [names.index(shape) for shape in shapes]
+        shape_indices = [shape_names.index(shape) for shape in shapes]
         values = dense_weights[:, shape_indices]
         mesh = json_root["meshes"][json_root["nodes"][node]["mesh"]]
         if (values == values[:1]).all():
@@ -289,9 +289,9 @@ def _write_weights(
         )
         animation.tracks.append((node, "weights", track_keys or keys))
     unwritten_names = [
-        names[row]
+        shape_names[row]
         for row in weights.animated.tolist()
-        if names[row] not in rig_indices.shapes
+        if shape_names[row] not in rig_indices.shapes
     ]
     if not unwritten_names:
         return []
@@ -299,11 +299,13 @@ def _write_weights(
     return [Fault("GLT117", message, severity=Severity.NOTE)]
 
 
-def _static_keys(other: SamplerKeys, value: float) -> SamplerKeys:
-    """Return keys of one value at the times of other keys."""
-    values = np.full((len(other.times), 1), value)
-    slopes = None if other.in_slopes is None else np.zeros_like(values)
-    return SamplerKeys(other.times, values, other.interpolation, slopes, slopes)
+def _static_keys(timed_keys: SamplerKeys, value: float) -> SamplerKeys:
+    """Return keys with a constant value at the times of other keys."""
+    values = np.full((len(timed_keys.times), 1), value)
+    slopes = None if timed_keys.in_slopes is None else np.zeros_like(values)
+    return SamplerKeys(
+        timed_keys.times, values, timed_keys.interpolation, slopes, slopes
+    )
 
 
 def _merge_weights(weight_keys: list[SamplerKeys]) -> SamplerKeys | None:

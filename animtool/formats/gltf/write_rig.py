@@ -75,8 +75,8 @@ def _ensure_common_root(builder: GlbBuilder, rig: Rig, roots: list[int]) -> list
     If there are several, a node outside the rig is inserted above them.
     """
     root_joints = np.array([rig.upwards(j)[-1] for j in range(len(rig.joints))], int)
-    skins = [skin["joints"] for skin in builder.json.get("skins", ())]
-    if all(len(np.unique(root_joints[joints])) == 1 for joints in skins):
+    skin_joints = [skin["joints"] for skin in builder.json.get("skins", ())]
+    if all(len(np.unique(root_joints[joints])) == 1 for joints in skin_joints):
         return roots
     root_json = {
         "name": rig.name,
@@ -91,14 +91,14 @@ def _transform_properties(
     translation: FloatArray, rotation: FloatArray, scale: FloatArray
 ) -> dict[str, Any]:
     """Return the properties of a node's transform that differ from the identity."""
-    properties: dict[str, Any] = {}
+    node_properties: dict[str, Any] = {}
     if np.abs(translation).max() > 0:
-        properties["translation"] = translation.tolist()
+        node_properties["translation"] = translation.tolist()
     if np.abs(rotation[:3]).max() > 0:
-        properties["rotation"] = (rotation / np.linalg.norm(rotation)).tolist()
+        node_properties["rotation"] = (rotation / np.linalg.norm(rotation)).tolist()
     if np.abs(scale - 1.0).max() > 0:
-        properties["scale"] = scale.tolist()
-    return properties
+        node_properties["scale"] = scale.tolist()
+    return node_properties
 
 
 @dataclass(slots=True)
@@ -163,7 +163,7 @@ class _SurfaceWriter:
         return self.builder.add_accessor(values, target=target, has_bounds=has_bounds)
 
     def _rigid_joint(self, surface: Surface) -> tuple[int, FloatArray]:
-        """Return the joint that moves a mesh rigidly, -1 for none, and the mesh's bind.
+        """Return the joint that moves a mesh rigidly (-1 for none) and the mesh's bind.
 
         The bind is the transform from the points to the joint, or to the world without
         a joint. A node has one mesh: a second mesh at the same joint is skinned.

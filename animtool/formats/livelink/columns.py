@@ -159,7 +159,7 @@ class _RecordingTable:
         return Fault(code, message, self.file.path, (line,), column=column + 1)
 
     def parse_rows(self, rows: list[tuple[int, str]]) -> Recording:
-        """Return the recording of numbered lines below the header."""
+        """Return the recording in the numbered lines below the header."""
         column_count, file = len(self.names), self.file
         numbered_rows = [
             (line_number, line.split(self.delimiter)) for line_number, line in rows

@@ -130,7 +130,7 @@ def _build_default_rig(path: Path, recording: Recording) -> Rig:
 
 
 def _rotated_parts(recording: Recording) -> list[str]:
-    """Return the parts, of head and eyes, whose three angles are all recorded."""
+    """Return those of head and eyes whose three angles are all recorded."""
     return [
         part
         for part in FACE_PARTS
@@ -185,7 +185,7 @@ def _interpolate_rows(
     frame_numbers: IntArray,
     dropped: DroppedFrames,
 ) -> FloatArray:
-    """Return values ``(F, S)`` at frames from ``(R, S)`` at rows, held or linear."""
+    """Return values ``(F, S)`` at frames, held or linear between rows ``(R, S)``."""
     if dropped == "hold":
         row_before = np.searchsorted(row_frames, frame_numbers, side="right") - 1
         return values[row_before]
@@ -237,12 +237,14 @@ def _warn_of_values(
         (recording.rotations, recording.angle_names),
     ):
         is_missing = ~np.isfinite(values)
-        for c in np.flatnonzero(is_missing.any(axis=0)).tolist():
-            lines = recording.line_numbers[is_missing[:, c]].tolist()
+        for column_index in np.flatnonzero(is_missing.any(axis=0)).tolist():
+            lines = recording.line_numbers[is_missing[:, column_index]].tolist()
             value_treatment = "interpolated from its neighbours"
-            if is_missing[:, c].all():
+            if is_missing[:, column_index].all():
                 value_treatment = "set to 0"
-            message = f"{names[c]} has no value in {counted(len(lines), 'row')}: "
+            message = (
+                f"{names[column_index]} has no value in {counted(len(lines), 'row')}: "
+            )
             message += value_treatment
             file.warn("LLF102", message, None, *lines[:MAX_LISTED_SHAPES])
     _warn_of_degrees(recording)
@@ -265,7 +267,7 @@ def _warn_of_values(
 
 
 def _warn_of_degrees(recording: Recording) -> None:
-    """Warn of angles that no radians from -pi to pi have (LLF112)."""
+    """Warn about angles outside -pi to pi, which are likely degrees (LLF112)."""
     magnitudes = np.abs(np.nan_to_num(recording.rotations, posinf=0.0, neginf=0.0))
     is_too_large = magnitudes > np.pi * (1 + ANGLE_TOLERANCE)
     if not is_too_large.any():
@@ -281,7 +283,7 @@ def _warn_of_degrees(recording: Recording) -> None:
 
 
 def _scale_hint(weights: FloatArray, shape: str) -> str:
-    """Return a hint to bring weights into 0 to 1; ``shape`` has one outside."""
+    """Return a hint to bring the weights into 0 to 1; ``shape`` has one outside."""
     magnitudes = np.abs(weights[np.isfinite(weights) & (weights != 0)])
     fraction_above_1 = np.count_nonzero(magnitudes > 1) / len(magnitudes)
     is_percentage = 1 < magnitudes.max() <= MAX_PERCENTAGE

@@ -88,30 +88,33 @@ def find_row_frames(
     labels_per_day = frames_per_day(rate, is_drop_frame=is_drop_frame)
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
     half_day = labels_per_day // 2
-    steps = (np.diff(label_counts) + half_day) % labels_per_day - half_day
-    labels = np.concatenate([[0], np.cumsum(steps)])
-    order = np.argsort(labels + fractions, kind="stable")
-    unsorted_indices = np.flatnonzero(np.diff(order) < 0)
+    label_steps = (np.diff(label_counts) + half_day) % labels_per_day - half_day
+    labels = np.concatenate([[0], np.cumsum(label_steps)])
+    time_order = np.argsort(labels + fractions, kind="stable")
+    unsorted_indices = np.flatnonzero(np.diff(time_order) < 0)
     if len(unsorted_indices):
-        unsorted_lines = line_numbers[order[unsorted_indices + 1]].tolist()
+        unsorted_lines = line_numbers[time_order[unsorted_indices + 1]].tolist()
         message = f"{counted(len(unsorted_lines), 'row')} not in order of time: sorted"
         file.warn("LLF104", message, None, *unsorted_lines[:MAX_LISTED_LINES])
-    labels, fractions = labels[order] - labels[order[0]], fractions[order]
+    labels, fractions = (
+        labels[time_order] - labels[time_order[0]],
+        fractions[time_order],
+    )
     row_steps = np.diff(labels)
     if len(row_steps) and (longest_gap := row_steps.max()) > MAX_GAP_SECONDS * rate:
-        row = order[int(row_steps.argmax()) + 1]
+        row = time_order[int(row_steps.argmax()) + 1]
         message = f"{longest_gap / float(rate):.6g} s without a row before "
         message += timecodes[row]
         hint = "split the recording there, or repair the time code"
         raise file.error("LLF006", message, hint, int(line_numbers[row]))
     step, frames = _frames_of_labels(labels, fractions)
     is_first = np.concatenate([[True], np.diff(frames) > 0])
-    repeated_lines = sorted(line_numbers[order[~is_first]].tolist())
+    repeated_lines = sorted(line_numbers[time_order[~is_first]].tolist())
     if repeated_lines:
         message = f"{counted(len(repeated_lines), 'row')} for a frame that already has "
         message += f"one: skipped, lines {listed(repeated_lines, MAX_LISTED_LINES)}"
         file.warn("LLF105", message, None, *repeated_lines[:MAX_LISTED_LINES])
-    return RecordingFrames(rate, step, order[is_first], frames[is_first])
+    return RecordingFrames(rate, step, time_order[is_first], frames[is_first])
 
 
 def _timecode_fields(
@@ -214,12 +217,12 @@ def _timecode_numbers(
 
 
 def _frames_of_labels(labels: IntArray, fractions: FloatArray) -> tuple[int, IntArray]:
-    """Return the labels per frame, and the frame of each row ``(R,)``, from 0."""
-    steps = np.diff(labels)
-    positive_steps = steps[steps > 0]
+    """Return how many labels a frame advances, and each row's frame from 0 ``(R,)``."""
+    label_steps = np.diff(labels)
+    positive_steps = label_steps[label_steps > 0]
     if not len(positive_steps):
         return 1, np.zeros(len(labels), np.int64)
-    exact_steps = steps + np.diff(fractions)
+    exact_steps = label_steps + np.diff(fractions)
     step = 1
     for candidate in range(min(MAX_LABEL_STEP, int(np.median(positive_steps))), 1, -1):
         regular_fraction = max(
@@ -238,7 +241,7 @@ def _frames_of_labels(labels: IntArray, fractions: FloatArray) -> tuple[int, Int
 
 
 def _is_step_multiple(exact_steps: FloatArray, step: int) -> BoolArray:
-    """Return whether each row is a multiple of a step after the previous row."""
+    """Return whether each row is a whole number of steps after the previous row."""
     step_counts = exact_steps / step
     return np.asarray(
         np.abs(step_counts - np.round(step_counts)) * step <= MAX_CLOCK_JITTER

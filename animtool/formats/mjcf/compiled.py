@@ -188,18 +188,22 @@ def _build_joint(
     """Return a joint whose coordinate is MuJoCo's qpos, except for free joints.
 
     A hinge or slide is at 0 where qpos is 0, which differs from the file's pose by
-    ``ref``. A free joint is at rest in the pose of the file.
+    ``reference_value``. A free joint is at rest in the pose of the file.
     """
     kind = int(model.jnt_type[joint])
     axis = float_vector(model.jnt_axis[joint])
     limits = None
     if kind in {SLIDE, HINGE}:
-        ref = float(model.qpos0[model.jnt_qposadr[joint]])
-        if kind == HINGE and ref:
-            inverse_ref = so3.from_axis_angle(np.array(axis), np.array(-ref))
+        reference_value = float(model.qpos0[model.jnt_qposadr[joint]])
+        if kind == HINGE and reference_value:
+            inverse_ref = so3.from_axis_angle(
+                np.array(axis), np.array(-reference_value)
+            )
             rotation = so3.multiply(rotation, inverse_ref)
-        elif ref:
-            translation = translation - so3.rotate(rotation, np.array(axis) * ref)
+        elif reference_value:
+            translation = translation - so3.rotate(
+                rotation, np.array(axis) * reference_value
+            )
         if model.jnt_limited[joint]:
             lower, upper = np.array(model.jnt_range[joint]).tolist()
             limits = RangeLimit(lower, upper)

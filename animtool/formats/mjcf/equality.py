@@ -53,7 +53,7 @@ class JointEqualities:
         equalities = JointEqualities()
         if not _has_cycles(model, constraints, diagnostics):
             for follower in constraints:
-                equalities._add(model, follower, constraints)
+                equalities._add_constraint(model, follower, constraints)
         return equalities
 
     def joints_beyond_limits(self, model: Any) -> list[int]:
@@ -67,11 +67,13 @@ class JointEqualities:
         for follower in np.flatnonzero(model.jnt_limited).tolist():
             low, high = np.array(model.jnt_range[follower]).tolist()
             driver, mimic = self.drivers.get(follower), self.mimics.get(follower)
-            values = []
+            reachable_values = []
             if driver is not None and not driver.names:
-                values = driver.evaluate({}).tolist()
+                reachable_values = driver.evaluate({}).tolist()
             elif mimic is not None and (leader := model.joint(mimic.joint)).limited[0]:
-                values = [mimic.gain * end + mimic.offset for end in leader.range]
+                reachable_values = [
+                    mimic.gain * end + mimic.offset for end in leader.range
+                ]
             elif mimic is not None and mimic.gain:
                 ends = sorted((end - mimic.offset) / mimic.gain for end in (low, high))
                 start, stop = leader_ranges.get(leader.id, (-np.inf, np.inf))
@@ -79,15 +81,15 @@ class JointEqualities:
                 if np.subtract(*leader_ranges[leader.id]) > LIMIT_TOLERANCE:
                     beyond.append(follower)
             is_inside = [low - LIMIT_TOLERANCE <= v <= high + LIMIT_TOLERANCE
-                         for v in values]  # fmt: skip
+                         for v in reachable_values]  # fmt: skip
             if not all(is_inside):
                 beyond.append(follower)
         return beyond
 
-    def _add(
+    def _add_constraint(
         self, model: Any, follower: int, constraints: dict[int, tuple[int, list[float]]]
     ) -> None:
-        """Add a mimic or driver of a joint that follows another one, or a constant."""
+        """Add a mimic or driver for a joint that follows another one or a constant."""
         leader, polynomial = constraints[follower]
         offset, gain = _linear_part(model, follower, leader, polynomial)
         is_nonlinear = leader >= 0 and any(polynomial[2:])
@@ -139,13 +141,13 @@ def _polynomial_driver(
     """Return a polynomial as a driver, by Horner's scheme."""
     component = SLIDE if model.jnt_type[leader] == _SLIDE_JOINT else ANGLE
     leader_value = repr(f"{model.joint(leader).name}.{component}")
-    x = f"({leader_value} - {_reference_value(model, leader)!r})"
+    leader_offset = f"({leader_value} - {_reference_value(model, leader)!r})"
     coefficients = polynomial
     while coefficients[-1] == 0.0 and len(coefficients) > 1:
         coefficients = coefficients[:-1]
     text = repr(coefficients[-1])
     for coefficient in reversed(coefficients[:-1]):
-        text = f"({coefficient!r} + {x} * {text})"
+        text = f"({coefficient!r} + {leader_offset} * {text})"
     text = f"{_reference_value(model, follower)!r} + {text}"
     return Driver(parse_expression(text, allows_coordinates=True))
 

@@ -73,7 +73,7 @@ def read_mjcf(path: Path | str) -> TakeStream:
 def _warn_of_range_unit(
     root: XmlElement, model: Any, diagnostics: XmlDiagnostics
 ) -> None:
-    """Record hinges whose ranges look like radians in degrees, or the reverse (MJC110).
+    """Warn about hinge ranges that look like radians in degrees, or reverse (MJC110).
 
     Args:
         root: The file, with its includes.
@@ -151,23 +151,23 @@ class _IncludeExpander:
     def __init__(
         self, path: Path, folders: PackageFolders, diagnostics: XmlDiagnostics
     ) -> None:
-        self._path, self._folders, self._notes = path, folders, diagnostics
+        self._path, self._folders, self._diagnostics = path, folders, diagnostics
         self._included_files = {path.resolve()}
         self._element_count = 0
 
     def expand_below(self, root: XmlElement) -> None:
         """Replace all includes below an element, including nested ones."""
         pending = [root]
-        while pending and not self._notes.faults:
+        while pending and not self._diagnostics.faults:
             element = pending.pop()
             self._element_count += 1
             if self._element_count > MAX_ELEMENTS:
                 message = f"more than {MAX_ELEMENTS:,} elements with all includes"
-                self._notes.add("MJC003", element, message)
+                self._diagnostics.add("MJC003", element, message)
                 return
             children: list[XmlElement] = []
             remaining_children = list(reversed(element.children))
-            while remaining_children and not self._notes.faults:
+            while remaining_children and not self._diagnostics.faults:
                 child = remaining_children.pop()
                 if child.tag == "include":
                     remaining_children += reversed(self._expand_include(child))
@@ -187,11 +187,11 @@ class _IncludeExpander:
             if path == element.path.resolve():
                 message = f"{excerpt(name, 100)} includes itself"
             hint = "a file may be included once; attach makes several copies"
-            self._notes.add("MJC006", element, message, hint)
+            self._diagnostics.add("MJC006", element, message, hint)
             return []
         if len(self._included_files) > MAX_INCLUDES:
             message = f"more than {MAX_INCLUDES} files are included"
-            self._notes.add("MJC003", element, message)
+            self._diagnostics.add("MJC003", element, message)
             return []
         self._included_files.add(path)
         return read_xml(path, _XML_CODES).children
@@ -200,7 +200,9 @@ class _IncludeExpander:
         """Return the file of an include, named relative to the model or its file."""
         if not name:
             message = "an include without file"
-            self._notes.add("MJC006", element, message, 'write file="parts/legs.xml"')
+            self._diagnostics.add(
+                "MJC006", element, message, 'write file="parts/legs.xml"'
+            )
             return None
         try:
             path = self._folders.find(name)
@@ -209,11 +211,11 @@ class _IncludeExpander:
                 path = self._folders.find(str(sibling_path))
         except OutsideError as error:
             message = f"{excerpt(name, 100)} is not included: {error}"
-            self._notes.add("MJC006", element, message, error.hint(self._path))
+            self._diagnostics.add("MJC006", element, message, error.hint(self._path))
             return None
         if path is None or not exists(path):
             message = f"{excerpt(name, 100)} does not exist"
             similar_file = nearest_file(Path(name), self._folders.folder)
-            self._notes.add("MJC006", element, message, similar_file)
+            self._diagnostics.add("MJC006", element, message, similar_file)
             return None
         return path

@@ -118,7 +118,7 @@ def parse_coordinate_name(column: str) -> str | None:
     return segments[-2] if segments[-1] == "value" and segments[-2] else None
 
 
-def build_rig_from_columns(name: str, columns: list[str]) -> Rig:
+def build_rig_from_columns(name: str, column_names: list[str]) -> Rig:
     """Return a rig with a joint for each column.
 
     The joint is a pin about Z, or prismatic if the name ends like a translation:
@@ -128,14 +128,14 @@ def build_rig_from_columns(name: str, columns: list[str]) -> Rig:
     >>> [(joint.type.value, joint.axis) for joint in rig.joints]
     [('pin', (0.0, 0.0, 1.0)), ('prismatic', (0.0, 1.0, 0.0))]
     """
-    return Rig(name, tuple(_build_column_joint(column) for column in columns))
+    return Rig(name, tuple(_build_column_joint(column) for column in column_names))
 
 
 def _build_column_joint(column: str) -> Joint:
     for match in _TRANSLATION_SUFFIX_PATTERN.finditer(column):
         if match.end() == len(column):
-            vectors = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
-            axis = vectors.get((match[1] or "z").lower(), (0.0, 0.0, 1.0))
+            axis_vectors = {"x": (1.0, 0.0, 0.0), "y": (0.0, 1.0, 0.0)}
+            axis = axis_vectors.get((match[1] or "z").lower(), (0.0, 0.0, 1.0))
             return Joint(column, -1, JointType.PRISMATIC, axis=axis)
     return Joint(column, -1, JointType.PIN)
 
@@ -147,7 +147,7 @@ def convert_columns_to_coordinates(
 
     Coordinates without a column are at rest.
     """
-    slices = coordinate_slices(rig)
+    slice_by_joint = coordinate_slices(rig)
     coordinates = rest_coordinates(rig, len(values))
     rotation_angles: dict[int, FloatArray] = {}
     for coordinate, column in zip(column_coordinates, values.T, strict=True):
@@ -156,11 +156,11 @@ def convert_columns_to_coordinates(
             angles = rotation_angles.setdefault(j, np.zeros((len(values), 3)))
             angles[:, coordinate.axis] = column
         else:
-            coordinates[:, slices[j].start + coordinate.axis] = (
+            coordinates[:, slice_by_joint[j].start + coordinate.axis] = (
                 np.radians(column) if coordinate.is_angle else column
             )
     for j, angles in rotation_angles.items():
-        stop = slices[j].stop
+        stop = slice_by_joint[j].stop
         coordinates[:, stop - 4 : stop] = euler.to_quaternion(angles, ROTATION_ORDER)
     return coordinates
 
@@ -169,18 +169,20 @@ def convert_coordinates_to_columns(
     rig: Rig, column_coordinates: list[Coordinate], coordinates: FloatArray
 ) -> FloatArray:
     """Return columns ``(F, C)`` [deg, m] of joint coordinates ``(F, Q)`` [rad, m]."""
-    slices = coordinate_slices(rig)
+    slice_by_joint = coordinate_slices(rig)
     values = np.zeros((len(coordinates), len(column_coordinates)))
     rotation_angles: dict[int, FloatArray] = {}
     for column_index, coordinate in enumerate(column_coordinates):
         j = coordinate.joint_index
         if coordinate.component == "rotation":
             if j not in rotation_angles:
-                quaternions = coordinates[:, slices[j].stop - 4 : slices[j].stop]
+                quaternions = coordinates[
+                    :, slice_by_joint[j].stop - 4 : slice_by_joint[j].stop
+                ]
                 rotation_angles[j] = euler.from_quaternion(quaternions, ROTATION_ORDER)
             values[:, column_index] = rotation_angles[j][:, coordinate.axis]
         else:
-            column = coordinates[:, slices[j].start + coordinate.axis]
+            column = coordinates[:, slice_by_joint[j].start + coordinate.axis]
             values[:, column_index] = (
                 np.degrees(column) if coordinate.is_angle else column
             )

@@ -136,7 +136,7 @@ def _find_row_frames(
 def _build_row_frames(
     times: FloatArray, rate: Fraction, frames: FloatArray, rounding: float
 ) -> RowFrames:
-    position = float(times[0]) * float(rate)
-    start = round(position) + 1 if abs(position) < MAX_FRAME_NUMBER else 1
-    is_exact = abs(position - (start - 1)) <= 3 * rounding * float(rate)
+    frame_position = float(times[0]) * float(rate)
+    start = round(frame_position) + 1 if abs(frame_position) < MAX_FRAME_NUMBER else 1
+    is_exact = abs(frame_position - (start - 1)) <= 3 * rounding * float(rate)
     return RowFrames(rate, start, frames, None if is_exact else float(times[0]))

@@ -272,32 +272,37 @@ def _resample_rows(
 
 
 def _build_motion(
-    file: CaptureFile, rig: Rig, columns: list[Coordinate], values: FloatArray
+    file: CaptureFile,
+    rig: Rig,
+    column_coordinates: list[Coordinate],
+    values: FloatArray,
 ) -> Motion:
-    """Return the motion of columns ``(F, C)`` [deg, m]; other mimic joints follow.
+    """Return the motion of columns ``(F, C)`` [deg, m]; joints without one may follow.
 
     Warns about columns of mimic and driven joints that do not follow (MOF114).
     """
-    stated = convert_columns_to_coordinates(rig, columns, values)
-    animated_joints = {rig.joints[c.joint_index].name for c in columns}
-    coordinates = with_mimics(rig, stated, animated_joints)
+    file_coordinates = convert_columns_to_coordinates(rig, column_coordinates, values)
+    animated_joints = {rig.joints[c.joint_index].name for c in column_coordinates}
+    coordinates = with_mimics(rig, file_coordinates, animated_joints)
     slices = coordinate_slices(rig)
     offsets: dict[str, float] = {}
-    for j in sorted({c.joint_index for c in columns}):
+    for j in sorted({c.joint_index for c in column_coordinates}):
         offset = _following_error(
-            rig.joints[j], coordinates[:, slices[j]] - stated[:, slices[j]]
+            rig.joints[j], coordinates[:, slices[j]] - file_coordinates[:, slices[j]]
         )
         if offset > FOLLOWING_TOLERANCE:
             offsets[rig.names[j]] = offset
-        coordinates[:, slices[j]] = stated[:, slices[j]]
+        coordinates[:, slices[j]] = file_coordinates[:, slices[j]]
     if offsets:
         name = max(offsets, key=lambda n: offsets[n])
         is_pin = rig.joints[rig.index(name)].type is JointType.PIN
-        size = (
+        size_text = (
             f"{np.degrees(offsets[name]):.4g}°" if is_pin else f"{offsets[name]:.4g} m"
         )
         message = f"{counted(len(offsets), 'column')} of joints that follow others do "
-        message += f"not follow, {excerpt(name)} by up to {size}: the file's values "
+        message += (
+            f"not follow, {excerpt(name)} by up to {size_text}: the file's values "
+        )
         message += "are used"
         hint = "remove the columns to make these joints follow"
         file.warn("MOF114", message, hint)
@@ -307,12 +312,14 @@ def _build_motion(
     )
 
 
-def _following_error(joint: Joint, offsets: FloatArray) -> float:
+def _following_error(joint: Joint, coordinate_offsets: FloatArray) -> float:
     """Return the largest offset of a joint that follows [rad], [m].
 
-    Angles may be whole revolutions apart, its own and those of the joint it follows.
+    Angles may differ by whole revolutions of the joint or of the one it follows.
     """
     gain = 0.0 if joint.mimic is None else joint.mimic.gain
     revolutions = gain * np.arange(-1, 2)[:, None] + np.arange(-2, 3)
-    distances = np.abs(offsets.ravel() - 2 * np.pi * revolutions.reshape(-1, 1))
+    distances = np.abs(
+        coordinate_offsets.ravel() - 2 * np.pi * revolutions.reshape(-1, 1)
+    )
     return float(distances.min(axis=0).max())

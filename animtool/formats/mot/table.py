@@ -53,7 +53,7 @@ _BOOLEAN_WORDS = {
 }
 
 # Header keys of numbers of rows and columns, also those of SIMM.
-_COUNTED_NOUNS = {
+_NOUN_BY_COUNT_KEY = {
     "nrows": "rows",
     "datarows": "rows",
     "ncolumns": "columns",
@@ -166,7 +166,7 @@ def _parse_header(
             key, _, value = (part.strip() for part in text.partition(" "))
             if key in {"datarows", "datacolumns"}:
                 default_in_degrees = True  # SIMM files are in degrees
-        noun = _COUNTED_NOUNS.get(key)
+        noun = _NOUN_BY_COUNT_KEY.get(key)
         if noun and value.isascii() and value.isdigit() and len(value) < 300:
             stated_numbers[noun] = float(value)
         elif key in {"datatype", "units"}:
@@ -178,8 +178,10 @@ def _parse_header(
             if value not in _BOOLEAN_WORDS:
                 stated_texts[key] = decode_text(line).partition("=")[2].strip(" \t,;")
         elif text.startswith("angles are in "):
-            units = {"degrees": True, "radians": False}
-            default_in_degrees = units.get(text[14:].rstrip(". "), default_in_degrees)
+            is_degrees_by_unit = {"degrees": True, "radians": False}
+            default_in_degrees = is_degrees_by_unit.get(
+                text[14:].rstrip(". "), default_in_degrees
+            )
     if in_degrees is None:
         in_degrees = default_in_degrees
     return stated_numbers, in_degrees, stated_texts
@@ -227,11 +229,19 @@ def check_duplicates(
 
 def _check_data_type(file: CaptureFile, header: MotHeader, lines: list[bytes]) -> None:
     """Raise if cells have more than one number, such as quaternions (MOF009)."""
-    data_type, names, first = (header.data_type, header.names, header.first_row_index)
+    data_type, names, first_row_index = (
+        header.data_type,
+        header.names,
+        header.first_row_index,
+    )
     separator = header.separator
-    indices = (i for i in range(first, len(lines)) if lines[i].strip(BLANK_CHARACTERS))
-    row = next(indices, first - 1)
-    cells = split_cells(lines[row], separator)[1:] if row >= first else []
+    indices = (
+        i
+        for i in range(first_row_index, len(lines))
+        if lines[i].strip(BLANK_CHARACTERS)
+    )
+    row = next(indices, first_row_index - 1)
+    cells = split_cells(lines[row], separator)[1:] if row >= first_row_index else []
     numbers_per_cell = max((cell.count(",") + 1 for cell in cells), default=1)
     has_decimal_commas = numbers_per_cell == 2 and b"." not in lines[row]
     has_numbers = numbers_per_cell == 1 or separator == b"," or has_decimal_commas
@@ -323,8 +333,10 @@ def _warn_missing_values(
     incomplete_columns = np.flatnonzero(is_missing.any(axis=0)).tolist()
     if not incomplete_columns:
         return
-    count = counted(int(is_missing.sum()), "value")
-    message = f"{count} missing in {listed([names[c] for c in incomplete_columns])}: "
+    count_text = counted(int(is_missing.sum()), "value")
+    message = (
+        f"{count_text} missing in {listed([names[c] for c in incomplete_columns])}: "
+    )
     message += "interpolated, or 0 where a column has no values"
     first_row_index = np.flatnonzero(is_missing.any(axis=1))[0]
     file.warn("MOF104", message, None, int(line_numbers[first_row_index]))

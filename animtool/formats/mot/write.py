@@ -66,10 +66,10 @@ def build_mot_text(take: Take) -> TakeText:
     first_time = float((take.clock.start - 1) / take.clock.fps)
     times = first_time + np.arange(take.clock.count) / rate
     rows = np.column_stack([times, values])
-    decimals = [COORDINATE_DECIMALS] * rows.shape[1]
+    decimal_counts = [COORDINATE_DECIMALS] * rows.shape[1]
     return TakeText(
         _header_lines(rig, coordinates, len(rows)),
-        format_rows(rows, decimals, uses_tabs=True),
+        format_rows(rows, decimal_counts, uses_tabs=True),
         notices,
     )
 

@@ -50,10 +50,10 @@ class RobotCodes:
     ignored_code: str  # contents that are not read
 
 
-def _replace_controls(name: str) -> str:
+def _replace_control_characters(name: str) -> str:
     r"""Return a name with ``_`` for characters that text files cannot contain.
 
-    >>> _replace_controls("a\x1bb"), _replace_controls("elbow flex")
+    >>> _replace_control_characters("a\x1bb"), _replace_control_characters("elbow flex")
     ('a_b', 'elbow flex')
     """
     return _CONTROL_PATTERN.sub("_", name)[:MAX_NAME_LENGTH]
@@ -96,13 +96,13 @@ def build_rig(robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes) -> R
             masses.append(build_mass(joint_name, link.mass, link_offset))
     if largest_error:
         _note_approximate_colliders(robot, diagnostics, codes, largest_error)
-    meshes = _link_meshes(robot, joint_names, joints)
+    meshes = _build_link_meshes(robot, joint_names, joints)
     _warn_of_size(diagnostics, joints)
     if diagnostics.ignored_labels:
         message = f"not read: {listed(list(diagnostics.ignored_labels), 20)}"
         diagnostics.add(codes.ignored_code, None, message, severity=Severity.NOTE)
     return Rig(
-        _replace_controls(robot.name) or diagnostics.path.stem,
+        _replace_control_characters(robot.name) or diagnostics.path.stem,
         tuple(joints),
         up=UpAxis.Z,
         meshes=meshes,
@@ -128,7 +128,7 @@ def _warn_of_size(diagnostics: XmlDiagnostics, joints: list[Joint]) -> None:
     diagnostics.add("RIG217", None, message, hint, severity=Severity.WARNING)
 
 
-def _link_meshes(
+def _build_link_meshes(
     robot: Robot, names: _JointNames, joints: list[Joint]
 ) -> tuple[Mesh, ...]:
     """Return one rigid mesh per visible link."""
@@ -140,9 +140,12 @@ def _link_meshes(
     for link, name in zip(robot.links, names.links, strict=True):
         if not link.surfaces:
             continue
-        surface, j = merge_surfaces(link.surfaces), rest_rig.index(name)
+        surface, joint_index = merge_surfaces(link.surfaces), rest_rig.index(name)
         bind = np.eye(4)
-        bind[:3, :3], bind[:3, 3] = world.linear[0, j], world.positions[0, j]
+        bind[:3, :3], bind[:3, 3] = (
+            world.linear[0, joint_index],
+            world.positions[0, joint_index],
+        )
         point_count = len(surface.points)
         skin = Skin(
             "linear",
@@ -216,7 +219,8 @@ def _assign_names(
         return candidate
 
     link_names = [
-        unique_name(_replace_controls(link.name), link.name) for link in robot.links
+        unique_name(_replace_control_characters(link.name), link.name)
+        for link in robot.links
     ]
     joint_names: list[list[str]] = []
     merged_flags: list[bool] = []
@@ -233,7 +237,9 @@ def _assign_names(
                 new_name = name
             elif robot_joint.name:
                 new_name = unique_name(
-                    _replace_controls(robot_joint.name), robot_joint.name, "_joint"
+                    _replace_control_characters(robot_joint.name),
+                    robot_joint.name,
+                    "_joint",
                 )
             else:
                 new_name = unique_name(f"{name}_joint_{k + 1}", "")
@@ -242,7 +248,7 @@ def _assign_names(
                 name_of_file_joint[robot_joint.name] = new_name
         joint_names.append(new_names)
     sites = {
-        (i, site): unique_name(_replace_controls(site), site, "_site")
+        (i, site): unique_name(_replace_control_characters(site), site, "_site")
         for i, link in enumerate(robot.links)
         for site, _, _ in link.sites
     }

@@ -79,23 +79,23 @@ class XmlDiagnostics:
         text = element.attributes.get(name)
         if text is None:
             return default
-        values = text.split()
+        number_texts = text.split()
         problem, hint = "", f"write {'a number' if count == 1 else f'{count} numbers'}"
-        if len(values) != count:
-            problem = f"{counted(len(values), 'value')}, not {count}"
+        if len(number_texts) != count:
+            problem = f"{counted(len(number_texts), 'value')}, not {count}"
             if "," in text:
                 hint = "separate numbers by blanks, and write decimals with a point"
         numbers = []
-        for value in values:
-            number = to_number(value)
+        for number_text in number_texts:
+            number = to_number(number_text)
             if number is None:
-                problem = problem or f"{excerpt(value)} is not a number"
-                if "," in value:
+                problem = problem or f"{excerpt(number_text)} is not a number"
+                if "," in number_text:
                     hint = "separate numbers by blanks, and write decimals with a point"
             elif not math.isfinite(number):
-                problem = problem or f"{excerpt(value)} is not finite"
+                problem = problem or f"{excerpt(number_text)} is not finite"
             elif abs(number) > max_value:
-                problem = problem or f"{excerpt(value)} is beyond {max_value:g}"
+                problem = problem or f"{excerpt(number_text)} is beyond {max_value:g}"
             else:
                 numbers.append(number)
         if problem:

@@ -69,7 +69,7 @@ class PackageFolders:
         return PackageFolders(folder, tuple(root.resolve() for root in roots), packages)
 
     def find(self, name: str) -> Path | None:
-        """Return the file of a name or URI; None if missing, an error if outside."""
+        """Return the file of a name or URI; None if missing. Raise if it is outside."""
         uri_match = _URI_SCHEME_PATTERN.fullmatch(name)
         if uri_match is None:
             return self._inside_project(self.folder / name, name)
@@ -93,7 +93,7 @@ class PackageFolders:
         return None
 
     def suggest(self, name: str) -> str | None:
-        """Return a name that leads to the file that a missing name likely means.
+        """Return a name that leads to the file that a missing name probably means.
 
         It has the same path in another package, such as the one of the robot's file,
         or the same name in other letters in the same folder.
@@ -109,20 +109,29 @@ class PackageFolders:
             return None
         if not relative_path or relative_path.startswith("/"):
             return None
-        names = [f"package://{package}/{relative_path}" for package in self.packages]
+        candidate_names = [
+            f"package://{package}/{relative_path}" for package in self.packages
+        ]
         for root in self.roots:
             for parent in (self.folder, *self.folder.parents):
                 if not parent.is_relative_to(root):
                     break
                 if uri_match is None:
                     levels = len(self.folder.relative_to(parent).parts)
-                    names.append("../" * levels + relative_path)
+                    candidate_names.append("../" * levels + relative_path)
                 elif parent.name:
-                    names.append(f"package://{parent.name}/{relative_path}")
+                    candidate_names.append(f"package://{parent.name}/{relative_path}")
         similar_name = self._similar_file(name)
         if similar_name is not None:
-            names.append(similar_name)
-        return next((other for other in names if self._leads_to_file(other)), None)
+            candidate_names.append(similar_name)
+        return next(
+            (
+                candidate
+                for candidate in candidate_names
+                if self._leads_to_file(candidate)
+            ),
+            None,
+        )
 
     def _leads_to_file(self, name: str) -> bool:
         try:
@@ -139,11 +148,18 @@ class PackageFolders:
             if folder is None or not folder.is_dir():
                 return None
             files = islice(folder.iterdir(), MAX_SEARCHED_NAMES)
-            names = sorted(file.name for file in files)
+            file_names = sorted(file.name for file in files)
         except (OSError, OutsideError):
             return None
         key = _file_key(file_name)
-        similar_name = next((other for other in names if _file_key(other) == key), None)
+        similar_name = next(
+            (
+                file_name_candidate
+                for file_name_candidate in file_names
+                if _file_key(file_name_candidate) == key
+            ),
+            None,
+        )
         if similar_name is None:
             return None
         return f"{folder_name}/{similar_name}" if folder_name else similar_name
@@ -157,9 +173,11 @@ class PackageFolders:
             return folders
         for root in self.roots:
             parents = [self.folder, *self.folder.parents]
-            in_project = [parent for parent in parents if parent.is_relative_to(root)]
-            folders += [parent for parent in in_project if parent.name == package]
-            folders += [parent / package for parent in in_project]
+            project_folders = [
+                parent for parent in parents if parent.is_relative_to(root)
+            ]
+            folders += [parent for parent in project_folders if parent.name == package]
+            folders += [parent / package for parent in project_folders]
         return folders
 
     def _inside_project(self, path: Path, name: str) -> Path | None:
@@ -174,7 +192,7 @@ class PackageFolders:
 
 
 def _file_key(name: str) -> str:
-    """Return a file name without case and separators, in which spellings differ."""
+    """Return a file name in lower case, without hyphens, underscores and blanks."""
     return re.sub(r"[-_ ]", "", name.casefold())
 
 

@@ -15,8 +15,11 @@ CIRCLE_CORNERS, ARC_CORNERS = 24, 12  # corners of a circle, and of half of one
 
 def merge_surfaces(surfaces: list[Triangles]) -> Triangles:
     """Merge triangle surfaces into one."""
-    first_points = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
-    faces = [s.faces + start for s, start in zip(surfaces, first_points, strict=False)]
+    point_offsets = np.cumsum([0, *(len(surface.points) for surface in surfaces)])
+    faces = [
+        s.faces + point_offset
+        for s, point_offset in zip(surfaces, point_offsets, strict=False)
+    ]
     return Triangles(
         np.concatenate([surface.points for surface in surfaces]), np.concatenate(faces)
     )
@@ -73,12 +76,14 @@ def _cylinder_faces(radius: float, length: float) -> Triangles:
 
 def _side_faces(lower: int, upper: int) -> IntArray:
     """Return the triangles between two rings, counterclockwise as seen from outside."""
-    k = np.arange(CIRCLE_CORNERS)
-    next_corner = (k + 1) % CIRCLE_CORNERS
+    corner_indices = np.arange(CIRCLE_CORNERS)
+    next_corner = (corner_indices + 1) % CIRCLE_CORNERS
     lower_triangles = np.stack(
-        [lower + k, lower + next_corner, upper + next_corner], axis=1
+        [lower + corner_indices, lower + next_corner, upper + next_corner], axis=1
     )
-    upper_triangles = np.stack([lower + k, upper + next_corner, upper + k], axis=1)
+    upper_triangles = np.stack(
+        [lower + corner_indices, upper + next_corner, upper + corner_indices], axis=1
+    )
     return np.concatenate([lower_triangles, upper_triangles])
 
 

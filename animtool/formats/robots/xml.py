@@ -75,7 +75,7 @@ def parse_xml(content: bytes, path: Path, codes: XmlCodes) -> XmlElement:
 
 
 class _TreeBuilder:
-    """Builds the tree of an XML file by the events of an expat parser."""
+    """Builds the tree of an XML file from the events of an expat parser."""
 
     def __init__(self, path: Path, codes: XmlCodes) -> None:
         self._path, self._codes = path, codes

@@ -64,7 +64,7 @@ def read_header(file: CaptureFile, lines: list[bytes]) -> TrcHeader:
         )
         message = f"no {missing_line} in the first {MAX_HEADER_LINES} lines"
         raise file.error("TRC001", message)
-    values = _header_values(lines[indices_above[-2]], lines[indices_above[-1]])
+    header_values = _header_values(lines[indices_above[-2]], lines[indices_above[-1]])
     name_match = name_matches[names_index]
     assert name_match is not None
     names = _read_marker_names(file, lines[names_index], name_match[1], names_index + 1)
@@ -77,10 +77,10 @@ def read_header(file: CaptureFile, lines: list[bytes]) -> TrcHeader:
         first_row_index += 1
     first_row = lines[first_row_index] if first_row_index < len(lines) else b""
     return TrcHeader(
-        parse_number(values.get("datarate")),
-        values.get("units"),
-        parse_number(values.get("numframes")),
-        parse_number(values.get("nummarkers")),
+        parse_number(header_values.get("datarate")),
+        header_values.get("units"),
+        parse_number(header_values.get("numframes")),
+        parse_number(header_values.get("nummarkers")),
         names,
         axis_marker_count,
         first_row_index,
@@ -96,14 +96,16 @@ def _header_values(keys_line: bytes, values_line: bytes) -> dict[str, str]:
     if len(values) < len(keys):
         cells = [text for value in values for text in value.split() or [""]]
         values = cells if len(cells) <= len(keys) else values
-    names = [key.lower() for key in keys]
-    units_index = names.index("units") if "units" in names else len(values)
+    lowercase_keys = [key.lower() for key in keys]
+    units_index = (
+        lowercase_keys.index("units") if "units" in lowercase_keys else len(values)
+    )
     if (
         units_index < len(values) == len(keys) - 1
         and parse_number(values[units_index]) is not None
     ):
         values.insert(units_index, "")  # an empty unit between blanks has no cell
-    return dict(zip(names, values, strict=False))
+    return dict(zip(lowercase_keys, values, strict=False))
 
 
 def _read_marker_names(
@@ -206,7 +208,9 @@ def read_trc(
     rows = gather_rows(lines, header.first_row_index, header.separator)
     names = _marker_names(file, header, rows)
     column_count = 2 + 3 * len(names)
-    rows = _drop_truncated_row(file, rows, len(lines) if lines[-1] else 0, column_count)
+    rows = _without_truncated_row(
+        file, rows, len(lines) if lines[-1] else 0, column_count
+    )
     if len(rows.texts) * len(names) > MAX_POSITIONS:
         raise file.error("TRC001", f"more than {MAX_POSITIONS:,} positions")
     decimals = rows.decimals(1)
@@ -278,10 +282,10 @@ def _marker_names(file: CaptureFile, header: TrcHeader, rows: TextRows) -> list[
     return names
 
 
-def _drop_truncated_row(
+def _without_truncated_row(
     file: CaptureFile, rows: TextRows, unterminated_line: int, column_count: int
 ) -> TextRows:
-    """Drop the last row, with a warning, if it is truncated (TRC109).
+    """Return rows without a truncated last row, which is reported (TRC109).
 
     ``unterminated_line`` is the last line if it has no line end; otherwise 0.
     """

@@ -106,10 +106,10 @@ def _check_times(
     with np.errstate(invalid="ignore", over="ignore"):
         is_invalid = ~np.isfinite(times)
         is_invalid[1:] |= ~(np.diff(times) > 0)
-    indices = np.flatnonzero(is_invalid)
-    if not len(indices):
+    invalid_rows = np.flatnonzero(is_invalid)
+    if not len(invalid_rows):
         return
-    row, other_count = int(indices[0]), len(indices) - 1
+    row, other_count = int(invalid_rows[0]), len(invalid_rows) - 1
     row_label = _frame_label(numbers[row], int(line_numbers[row]))
     message = f"the time of {row_label} is not a finite number"
     if np.isfinite(times[row]):
@@ -214,16 +214,16 @@ def _warn_of_numbers(
         is_number = np.isfinite(numbers)
         is_invalid = ~is_number | (np.floor(numbers) != numbers)
         is_invalid[1:] |= ~(np.diff(numbers) >= 1)
-    indices = np.flatnonzero(is_invalid)
-    if not len(indices):
+    invalid_rows = np.flatnonzero(is_invalid)
+    if not len(invalid_rows):
         return
-    row = int(indices[0])
+    row = int(invalid_rows[0])
     message = "Frame# is not a number"
     if is_number[row]:
         message = f"Frame# is {numbers[row]:g}"
         message += f" after {numbers[row - 1]:g}" if row else ""
-    if len(indices) > 1:
-        message += f", and {counted(len(indices) - 1, 'other row')} too"
+    if len(invalid_rows) > 1:
+        message += f", and {counted(len(invalid_rows) - 1, 'other row')} too"
     file.warn("TRC107", f"{message}; {consequence}", None, int(line_numbers[row]))
 
 

@@ -56,13 +56,13 @@ def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
     marker_count, frame_count = len(markers.names), len(markers)
     rate, first_frame = f"{float(markers.clock.rate):.10g}", int(markers.clock.start)
     names = [" ".join(name.split()) for name in markers.names]
-    axes = [f"{axis}{i + 1}" for i in range(marker_count) for axis in "XYZ"]
+    axis_labels = [f"{axis}{i + 1}" for i in range(marker_count) for axis in "XYZ"]
     header = [
         f"PathFileType\t4\t(X/Y/Z)\t{name}",
         "DataRate\tCameraRate\tNumFrames\tNumMarkers\tUnits\tOrigDataRate\tOrigDataStartFrame\tOrigNumFrames",
         f"{rate}\t{rate}\t{frame_count}\t{marker_count}\tmm\t{rate}\t{first_frame}\t{frame_count}",
         "Frame#\tTime\t" + "\t\t\t".join(names) + "\t\t",
-        "\t\t" + "\t".join(axes),
+        "\t\t" + "\t".join(axis_labels),
         "",
     ]
     yield ("\n".join(header) + "\n").encode()
@@ -70,7 +70,9 @@ def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
     times = (np.arange(frame_count) + first_frame - 1) / float(markers.clock.rate)
     if markers.begin is not None:
         times = markers.begin + np.arange(frame_count) / float(markers.clock.rate)
-    decimals = np.array([0, 9, *[POSITION_DECIMALS] * (3 * marker_count)], np.int64)
+    decimal_counts = np.array(
+        [0, 9, *[POSITION_DECIMALS] * (3 * marker_count)], np.int64
+    )
     for begin in range(0, frame_count, CHUNK_ROWS):
         frames = slice(begin, begin + CHUNK_ROWS)
         positions = markers.positions[frames].reshape(-1, 3 * marker_count) * 1000.0
@@ -79,7 +81,7 @@ def _file_chunks(markers: Markers, name: str) -> Iterator[bytes]:
         rows = np.column_stack(
             [frame_numbers, times[frames], np.where(is_missing, 0.0, positions)]
         )
-        text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimals)
+        text = _kernels.format_bvh_rows(np.ascontiguousarray(rows), decimal_counts)
         yield _blank_missing(text, is_missing)
 
 

@@ -303,16 +303,16 @@ def _read_link(
     name = require_text(element, "name", None, diagnostics)
     if not name:
         return
-    location = element_label("link", name)
+    link_label = element_label("link", name)
     if name in links:
         message = f"two links are named {excerpt(name)}"
         hint = f"the first is in line {links[name].element.line}"
         diagnostics.add("URD009", element, message, hint)
         return
     link = links[name] = UrdfLink(element, name)
-    inertial = find_single_child(element, "inertial", location, diagnostics)
+    inertial = find_single_child(element, "inertial", link_label, diagnostics)
     if inertial is not None:
-        link.mass = _read_mass(inertial, location, diagnostics)
+        link.mass = _read_mass(inertial, link_label, diagnostics)
     link.meshes += [
         mesh
         for shape in (*element.find_all("visual"), *element.find_all("collision"))
@@ -321,31 +321,31 @@ def _read_link(
         if mesh.attributes.get("filename")
     ]
     for shape_element in element.find_all("collision"):
-        solid = _read_shape(shape_element, location, diagnostics)
+        solid = _read_shape(shape_element, link_label, diagnostics)
         if solid is not None:
             link.solids.append(solid)
     for shape_element in element.find_all("visual"):
-        link.visuals += _read_visual(shape_element, location, diagnostics)
+        link.visuals += _read_visual(shape_element, link_label, diagnostics)
 
 
 def _read_visual(
     element: XmlElement, location: str, diagnostics: XmlDiagnostics
 ) -> Iterator[Visual]:
     """Yield the visual of an element; record an invalid one as ignored."""
-    visual_notes = XmlDiagnostics(diagnostics.path, diagnostics.number_code)
+    visual_diagnostics = XmlDiagnostics(diagnostics.path, diagnostics.number_code)
     meshes = [m for g in element.find_all("geometry") for m in g.find_all("mesh")]
     visual: Visual | None = None
     if meshes and meshes[0].attributes.get("filename"):
-        position, rotation = read_pose(element, location, visual_notes)
-        x, y, z = visual_notes.read_numbers(
+        position, rotation = read_pose(element, location, visual_diagnostics)
+        x, y, z = visual_diagnostics.read_numbers(
             meshes[0], "scale", 3, (1.0, 1.0, 1.0), location
         )
         pose = SimpleShape("mesh", (), position, rotation)
         visual = Visual(meshes[0], pose, (x, y, z))
     elif not meshes:
-        solid = _read_shape(element, location, visual_notes)
+        solid = _read_shape(element, location, visual_diagnostics)
         visual = None if solid is None else Visual(None, solid)
-    if visual_notes.faults:
+    if visual_diagnostics.faults:
         diagnostics.record_ignored(["visuals with faults"])
     elif visual is not None:
         yield visual

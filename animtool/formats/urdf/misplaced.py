@@ -12,7 +12,7 @@ from animtool.formats.robots.xml import XmlElement
 
 # Elements that each element may hold. Other elements are extensions, which may hold
 # any; materials are not read anywhere.
-_CHILDREN = {
+_CHILD_TAGS = {
     "robot": ("link", "joint"),
     "link": ("inertial", "visual", "collision"),
     "joint": ("parent", "child", "origin", "axis", "limit", "mimic", "dynamics"),
@@ -23,8 +23,8 @@ _CHILDREN = {
         ("parent", "child", "origin", "axis", "limit", "mimic", "mass", "inertia"), ()
     ),
 }
-STANDARD_TAGS = frozenset(tag for tags in _CHILDREN.values() for tag in tags)
-_ATTRIBUTES = {
+STANDARD_TAGS = frozenset(tag for tags in _CHILD_TAGS.values() for tag in tags)
+_ATTRIBUTE_NAMES = {
     "origin": ("xyz", "rpy"),
     "axis": ("xyz",),
     "limit": ("lower", "upper", "effort", "velocity"),
@@ -46,14 +46,14 @@ class _ElementContext:
 
 
 def warn_about_misplaced(root: XmlElement, diagnostics: XmlDiagnostics) -> None:
-    """Warn about known elements in others that do not hold them (URD112).
+    """Warn about known elements inside elements that cannot hold them (URD112).
 
     Elements and attributes whose name is nearly that of a missing one are included.
     """
     last_count = len(diagnostics.notices) + MAX_WARNINGS
     for ancestors in _standard_elements(root):
         parent = ancestors[0]
-        known_tags, tags = _CHILDREN[parent.tag], {c.tag for c in parent.children}
+        known_tags, tags = _CHILD_TAGS[parent.tag], {c.tag for c in parent.children}
         missing_tags = [tag for tag in known_tags if tag not in tags]
         for element in parent.children:
             context = _ElementContext(element, ancestors)
@@ -63,7 +63,9 @@ def warn_about_misplaced(root: XmlElement, diagnostics: XmlDiagnostics) -> None:
                 _warn_about_element(context, diagnostics)
             elif meant_tag := most_similar(element.tag, missing_tags, _MIN_SIMILARITY):
                 message = f"<{element.tag[:40]}> in <{parent.tag}> is not read"
-                _add(diagnostics, context, message, f"did you mean <{meant_tag}>?")
+                _add_warning(
+                    diagnostics, context, message, f"did you mean <{meant_tag}>?"
+                )
             if len(diagnostics.notices) >= last_count:
                 return
 
@@ -74,17 +76,17 @@ def _standard_elements(root: XmlElement) -> Iterator[Sequence[XmlElement]]:
     while pending:
         ancestors = pending.pop()
         yield ancestors
-        standard_children = (c for c in ancestors[0].children if c.tag in _CHILDREN)
+        standard_children = (c for c in ancestors[0].children if c.tag in _CHILD_TAGS)
         pending += reversed([(child, *ancestors) for child in standard_children])
 
 
 def _warn_about_element(context: _ElementContext, diagnostics: XmlDiagnostics) -> None:
-    """Warn about an element in one that does not hold it."""
+    """Warn about an element inside an element that cannot hold it."""
     tag, parent = context.element.tag, context.ancestors[0]
-    homes = [name for name, tags in _CHILDREN.items() if tag in tags]
+    parent_tags = [name for name, tags in _CHILD_TAGS.items() if tag in tags]
     message = f"<{tag}> in <{parent.tag}> is not read"
-    hint = f"it belongs in {' or '.join(f'<{home}>' for home in homes)}"
-    owner = _likely_owner(context, homes)
+    hint = f"it belongs in {' or '.join(f'<{home}>' for home in parent_tags)}"
+    owner = _likely_owner(context, parent_tags)
     if owner is not None and "name" in owner.attributes:
         name = owner.attributes["name"][:60]
         message += f"; {element_label(owner.tag, name)} (line {owner.line}) has none"
@@ -92,11 +94,13 @@ def _warn_about_element(context: _ElementContext, diagnostics: XmlDiagnostics) -
             is_slide = owner.attributes.get("type") == "prismatic"
             message += f" and {'slides along' if is_slide else 'turns about'} x"
         hint = f'move it into <{owner.tag} name="{name}">'
-    _add(diagnostics, context, message, hint)
+    _add_warning(diagnostics, context, message, hint)
 
 
-def _likely_owner(context: _ElementContext, homes: Sequence[str]) -> XmlElement | None:
-    """Return the element that likely lost another: around, before or after it."""
+def _likely_owner(
+    context: _ElementContext, parent_tags: Sequence[str]
+) -> XmlElement | None:
+    """Return the element that should hold another: around, before or after it."""
     element = context.element
     siblings = context.ancestors[0].children
     index = next(i for i, sibling in enumerate(siblings) if sibling is element)
@@ -106,7 +110,8 @@ def _likely_owner(context: _ElementContext, homes: Sequence[str]) -> XmlElement 
         *siblings[index + 1 :],
     ]
     return next(
-        (c for c in candidates if c.tag in homes and not c.find_all(element.tag)), None
+        (c for c in candidates if c.tag in parent_tags and not c.find_all(element.tag)),
+        None,
     )
 
 
@@ -115,7 +120,7 @@ def _warn_about_attributes(
 ) -> None:
     """Warn about attributes whose names are nearly those of missing ones."""
     element = context.element
-    names = _ATTRIBUTES.get(element.tag, ())
+    names = _ATTRIBUTE_NAMES.get(element.tag, ())
     missing_names = [name for name in names if name not in element.attributes]
     for name in element.attributes:
         if name in names or not missing_names:
@@ -126,10 +131,10 @@ def _warn_about_attributes(
             hint = f"did you mean {meant_name}?"
             if not meant_name:
                 hint = f"its attributes are {', '.join(names)}"
-            _add(diagnostics, context, message, hint)
+            _add_warning(diagnostics, context, message, hint)
 
 
-def _add(
+def _add_warning(
     diagnostics: XmlDiagnostics, context: _ElementContext, message: str, hint: str
 ) -> None:
     """Record a warning at an element, with the joint or link around it."""

@@ -16,29 +16,29 @@ from animtool.rig.skeleton import Mimic
 
 def check_tree(file: UrdfFile, diagnostics: XmlDiagnostics) -> None:
     """Record unknown links, links with two parents or none, and cycles."""
-    parents: dict[str, UrdfJoint] = {}
+    parent_joints: dict[str, UrdfJoint] = {}
     for joint in file.joints.values():
         for tag, name in (("parent", joint.parent), ("child", joint.child)):
             if name and name not in file.links:
                 message = f"its {tag} link {excerpt(name)} does not exist"
                 hint = name_hint(name, file.links)
                 add_joint_fault(diagnostics, "URD010", joint, message, hint)
-        if joint.child in parents:
-            first_joint = parents[joint.child]
+        if joint.child in parent_joints:
+            first_joint = parent_joints[joint.child]
             message = (
                 f"link {excerpt(joint.child)} has two parents, "
                 f"{excerpt(first_joint.parent)} by joint {excerpt(first_joint.name)} "
                 f"and {excerpt(joint.parent)} by joint {excerpt(joint.name)}"
             )
-            cycle = _cycle_through(joint, parents)
+            cycle = _cycle_through(joint, parent_joints)
             hint = "a robot is a tree: remove one of the two joints"
             if cycle:
                 message += f"; {cycle_text(cycle)} go round"
             add_joint_fault(diagnostics, "URD011", joint, message, hint)
         elif joint.child:
-            parents[joint.child] = joint
+            parent_joints[joint.child] = joint
     if not diagnostics.faults:
-        _check_roots(file, parents, diagnostics)
+        _check_roots(file, parent_joints, diagnostics)
 
 
 def _cycle_through(joint: UrdfJoint, parent_joints: dict[str, UrdfJoint]) -> list[str]:
@@ -93,7 +93,7 @@ def _check_roots(
 
 
 def resolve_mimics(file: UrdfFile, diagnostics: XmlDiagnostics) -> dict[str, Mimic]:
-    """Return mimics by joint name, each of a joint that mimics no other.
+    """Return mimics by joint name, each following a joint that mimics no other.
 
     A mimic of a mimic follows the first leader, with combined multipliers and offsets.
     """

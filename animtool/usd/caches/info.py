@@ -111,11 +111,13 @@ def describe_points(path: Path) -> PointsDescription | None:
     with usd_errors(path), without_usd_warnings():
         stage = open_stage(path)
         prims_with_points = () if has_character(stage) else point_prims(stage)
-        prims = [_summarize_prim(prim) for prim in prims_with_points]
-        if not prims:
+        prim_summaries = [_summarize_prim(prim) for prim in prims_with_points]
+        if not prim_summaries:
             return None
         chunks = [chunk for prim in all_prims(stage) for chunk in _chunk_sets(prim)]
-        range_codes = [code for chunk in prims for code in (chunk.first, chunk.last)]
+        range_codes = [
+            code for prim in prim_summaries for code in (prim.first, prim.last)
+        ]
         sample_codes = [code for code in range_codes if code is not None]
         start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
         if sample_codes and not stage.HasAuthoredTimeCodeRange():
@@ -124,13 +126,13 @@ def describe_points(path: Path) -> PointsDescription | None:
         return PointsDescription(
             str(path),
             "USD",
-            max(prim.samples for prim in prims),
+            max(prim.samples for prim in prim_summaries),
             fps,
             time_fraction(start),
             time_fraction(end),
             (time_fraction(end) - time_fraction(start)) / fps,
-            dict(Counter(prim.type for prim in prims)),
-            prims,
+            dict(Counter(prim.type for prim in prim_summaries)),
+            prim_summaries,
             chunks,
             unit_name(UsdGeom.GetStageMetersPerUnit(stage)),
             up_axis(stage).value,
@@ -155,10 +157,10 @@ def _summarize_prim(prim: Any) -> PointPrimSummary:
     sample_codes = time_codes_of(times)
     point_counts = array_lengths(reader.points_attr, sample_codes)
     type_name = str(prim.GetTypeName())
-    element_noun, name = (
+    element_noun, count_attr_name = (
         ("meshes", "") if is_instancer else _ELEMENT_COUNTS.get(type_name, ("", ""))
     )
-    count_attr = prim.GetAttribute(name) if name else None
+    count_attr = prim.GetAttribute(count_attr_name) if count_attr_name else None
     # Arrays of many samples are compressed; the lengths at both ends are enough.
     element_counts: list[int | None] = []
     if count_attr:
@@ -214,7 +216,7 @@ def _extent_union(
     attribute = prim.GetAttribute("extent")
     extents = [array_value(attribute, code) for code in codes] if attribute else []
     valid_extents = [np.array(extent) for extent in extents if len(extent) == 2]
-    corners = np.array([pair for pair in valid_extents if pair.dtype.kind == "f"])
+    corners = np.array([extent for extent in valid_extents if extent.dtype.kind == "f"])
     if corners.shape[1:] != (2, 3) or not np.isfinite(corners).all():
         return None
     lowest, highest = corners[:, 0].min(axis=0), corners[:, 1].max(axis=0)

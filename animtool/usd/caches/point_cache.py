@@ -79,7 +79,7 @@ def mesh_paths(
 
 
 def round_points(
-    mesh: int,
+    mesh_index: int,
     codes: FloatArray,
     deformed_frames: DeformedFrames,
     meters_per_unit: float,
@@ -88,7 +88,7 @@ def round_points(
     """Return frames of a mesh rounded to float32, and the rounding error.
 
     Args:
-        mesh: Index of the mesh.
+        mesh_index: Index of the mesh.
         codes: Time codes ``(F,)``.
         deformed_frames: Frames of the mesh [m].
         meters_per_unit: Unit of the layer [m].
@@ -121,7 +121,7 @@ def round_points(
     if velocities is not None:
         values["velocities"] = to_float32("velocities", velocities, meters_per_unit)
     code = float(codes[frame])
-    return FrameBlock(mesh, codes, values, points.shape[1], error, code, vertex)
+    return FrameBlock(mesh_index, codes, values, points.shape[1], error, code, vertex)
 
 
 def author_cache(
@@ -251,11 +251,11 @@ def _chunk_writers(
 
 
 class _ChunkedMesh:
-    """A mesh of a chunked cache: its report, and its values while they are constant."""
+    """The report of a mesh of a chunked cache, and its values if they are constant."""
 
     def __init__(self, path: str) -> None:
         self.report = CachedMesh(path)
-        # Values of the first frame, as long as points equal them.
+        # Values of the first frame; None once the points differ from them.
         self._first_values: dict[str, Float32Array] | None = None
 
     def add_block(self, block: FrameBlock) -> None:

@@ -209,7 +209,10 @@ class PointSource:
         count = len(points)
 
         def array_rows(*names: str, width: int = 0) -> Any:
-            """Return an attribute's rows, or integers if ``width`` is 0, or None."""
+            """Return the rows of the first of these attributes with a value, else None.
+
+            ``width`` 0 reads integers.
+            """
             attr = next(
                 (prim.GetAttribute(n) for n in names if reader.has_value(n)), None
             )

@@ -147,7 +147,7 @@ class VisiblePrim:
         return None if value is None else np.array(value, np.int64)
 
     def colors(self, code: float) -> FloatArray:
-        """Return linear colors per point, or one ``(N or 1, 3)``; empty if absent."""
+        """Return a linear color per point, or one for all ``(N or 1, 3)``, or none."""
         return _display_colors(self.prim, code)
 
     @cached_property
@@ -400,26 +400,26 @@ def _relative_transform(prim: Any, root: Any, unit: float) -> FloatArray:
     return matrix
 
 
-# Rotations from z to the axis of an implicit shape.
+# Order of coordinates that rotates an implicit shape from z to its axis.
 _AXIS_ORDERS = {"X": [2, 0, 1], "Y": [1, 2, 0], "Z": [0, 1, 2]}
 
 
 def _implicit_mesh(prim: Any) -> solids.Solid:
     """Return the mesh of an implicit shape in stage units."""
 
-    def value(name: str) -> float:
+    def attribute_value(name: str) -> float:
         return float(prim.GetAttribute(name).Get(Usd.TimeCode.EarliestTime()))
 
     if prim.IsA(UsdGeom.Cube):
-        return solids.box(value("size"))
+        return solids.box(attribute_value("size"))
     if prim.IsA(UsdGeom.Sphere):
-        return solids.sphere(value("radius"))
-    radius, height = value("radius"), value("height")
+        return solids.sphere(attribute_value("radius"))
+    radius, height = attribute_value("radius"), attribute_value("height")
     if prim.IsA(UsdGeom.Capsule):
         points, counts, indices = solids.capsule(radius, height)
     elif prim.IsA(UsdGeom.Cone):
         points, counts, indices = solids.cylinder(radius, height, 0.0)
     else:
         points, counts, indices = solids.cylinder(radius, height)
-    axis = _AXIS_ORDERS[str(prim.GetAttribute("axis").Get() or "Z")]
-    return points[:, axis], counts, indices
+    axis_order = _AXIS_ORDERS[str(prim.GetAttribute("axis").Get() or "Z")]
+    return points[:, axis_order], counts, indices

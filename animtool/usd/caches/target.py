@@ -126,27 +126,29 @@ def open_cache_target(
         faults += _animated_ancestors(mesh, skeleton, rig)
         meshes.append(_target_mesh(mesh, name, skeleton, rig))
     attachments = {
-        entry.name: (entry, source)
-        for entry, source in bound_strands(skeleton, rig.skeleton, str(rig.path))
+        attachment.name: (attachment, curves_prim)
+        for attachment, curves_prim in bound_strands(
+            skeleton, rig.skeleton, str(rig.path)
+        )
     }
     for name, curve_shape in curve_shapes.items():
         if name not in attachments:
             continue
-        entry, source = attachments[name]
-        curves = UsdGeom.BasisCurves(source)
-        faults += _curve_mismatch(curves, entry, curve_shape, rig)
+        attachment, curves_prim = attachments[name]
+        curves = UsdGeom.BasisCurves(curves_prim)
+        faults += _curve_mismatch(curves, attachment, curve_shape, rig)
         faults += _animated_ancestors(curves, skeleton, rig)
         strands.append(_target_strands(curves, name, skeleton, rig))
     if faults:
         raise FormatError(faults)
     unknown_names = [name for name in point_counts if name not in prims_by_name]
     unknown_names += [name for name in curve_shapes if name not in attachments]
-    subject = "meshes or strands of the take are not in the rig layer"
-    notices = _count_notice(
-        "USD141", unknown_names, subject, "they are skipped", rig.path
-    )
+    text = "meshes or strands of the take are not in the rig layer"
+    notices = _count_notice("USD141", unknown_names, text, "they are skipped", rig.path)
     deformed_paths = {prims_by_name[mesh.name].GetPath() for mesh in meshes}
-    deformed_paths |= {attachments[entry.name][1].GetPath() for entry in strands}
+    deformed_paths |= {
+        attachments[attachment.name][1].GetPath() for attachment in strands
+    }
     notices += _static_mesh_notice(root, deformed_paths, rig.path)
     notices += _normals_notice([*meshes, *strands], rig.path)
     return CacheTarget(rig, tuple(meshes), tuple(strands), tuple(notices))
@@ -164,15 +166,15 @@ def _mesh_mismatches(mesh: Any, name: str, count: int, rig: RigTarget) -> list[F
 
 
 def _curve_mismatch(
-    curves: Any, entry: Attachment, take_shape: tuple[int, ...], rig: RigTarget
+    curves: Any, attachment: Attachment, take_shape: tuple[int, ...], rig: RigTarget
 ) -> list[Fault]:
-    assert entry.points is not None
-    rig_shape = entry.points.load().shape[:2]
+    assert attachment.points is not None
+    rig_shape = attachment.points.load().shape[:2]
     if rig_shape == take_shape:
         return []
     message = (
-        f"{entry.name!r} has {rig_shape[0]} strands of {rig_shape[1]} points here, but "
-        f"{take_shape[0]} of {take_shape[1]} in the take's rig"
+        f"{attachment.name!r} has {rig_shape[0]} strands of {rig_shape[1]} points "
+        f"here, but {take_shape[0]} of {take_shape[1]} in the take's rig"
     )
     hint = "the cache would not match its curves"
     return [PrimLocation.from_prim(rig.path, curves).fault("USD041", message, hint)]

@@ -140,7 +140,7 @@ class CharactersReport:
 class FrameBlock:
     """Frames of one prim as written, in stage units."""
 
-    prim: int  # index of the written prim
+    prim_index: int  # index of the written prim
     codes: FloatArray  # time codes (F,)
     # Values ``(F, …)`` by attribute, in order; see `split_attribute`.
     values: Mapping[str, npt.NDArray[Any]]
@@ -171,7 +171,7 @@ class PointSpace:
 
 @dataclass(slots=True)
 class CachedMesh:
-    """What was written for one PointBased prim, as in reports."""
+    """Counts and errors of one written PointBased prim, as reported."""
 
     path: str
     vertices: int = 0  # most points of any frame
@@ -206,9 +206,9 @@ def attribute_labels(report: CachedMesh, name: str) -> ValueLabels:
 class PointWriter:
     """Writes blocks of frames of one existing prim to a layer.
 
-    Animated attributes get samples, static ones a default. With `every_frame`, each
-    frame is a sample, as for simulated prims; with `with_default`, the first frame is
-    also the default.
+    Animated attributes get samples, static ones a default. With `writes_every_frame`,
+    each frame is a sample, as for simulated prims; with `with_default`, the first frame
+    is also the default.
     """
 
     def __init__(
@@ -218,10 +218,11 @@ class PointWriter:
         *,
         writes_every_frame: bool = False,
         with_default: bool = True,
-        on_added: Callable[[int], object] | None = None,  # called with block sizes
+        on_added: Callable[[int], object]
+        | None = None,  # called with block sizes [byte]
     ) -> None:
         self._layer, self._report = layer, report
-        self._every_frame = writes_every_frame
+        self._writes_every_frame = writes_every_frame
         self._with_default = with_default
         self._on_added = on_added
         self._sample_writers: dict[str, SampleWriter] = {}
@@ -237,7 +238,7 @@ class PointWriter:
             self._on_added(block.bytes)
 
     def _attribute_writer(self, name: str, rows: npt.NDArray[Any]) -> SampleWriter:
-        if not self._every_frame:
+        if not self._writes_every_frame:
             return empty_attribute(self._prim_spec, name)
         labels = attribute_labels(self._report, name)
         attr = self._layer.GetAttributeAtPath(labels.attribute)
@@ -352,10 +353,12 @@ class FrameEncoder(Generic[FrameT]):
 
     def attribute_kinds(self, frame: FrameT) -> dict[str, AttributeKind]:
         """Return the sampled attributes, in order, by name; see `split_attribute`."""
-        arrays = {f"primvars:{name}": rows for name, rows in frame.primvars.items()}
+        primvar_rows = {
+            f"primvars:{name}": rows for name, rows in frame.primvars.items()
+        }
         attribute_kinds = {name: ATTRIBUTE_KINDS[name] for name in self.sampled_names}
         attribute_kinds |= {
-            name: attribute_kind(name, rows) for name, rows in arrays.items()
+            name: attribute_kind(name, rows) for name, rows in primvar_rows.items()
         }
         return {**attribute_kinds, "extent": ATTRIBUTE_KINDS["extent"]}
 
@@ -389,7 +392,7 @@ def bounds(
 
 def bounds_corners(points: npt.NDArray[Any]) -> npt.NDArray[Any]:
     """Return the corners ``(8, 3)`` of the bounds of points ``(N, 3)``."""
-    bounds = np.stack([points.min(axis=0), points.max(axis=0)])
+    lowest_and_highest = np.stack([points.min(axis=0), points.max(axis=0)])
     return np.asarray(
-        bounds[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
+        lowest_and_highest[np.indices((2, 2, 2)).reshape(3, 8), np.arange(3)[:, None]].T
     )

@@ -11,10 +11,10 @@ from pxr import UsdSkel
 from animtool.core.array_types import BoolArray
 from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import (
+from animtool.usd.checks.checked_stage import (
     AnyArray,
+    CheckedStage,
     SampledArray,
-    StageSubject,
     samples_text,
 )
 from animtool.usd.layers.faults import (
@@ -35,19 +35,19 @@ _TARGET_SCHEMAS = {
 }
 
 
-def check_bindings(subject: StageSubject) -> Iterator[Fault]:
+def check_bindings(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that skel bindings target prims of the right type.
 
     In a layer over another file's rig, missing targets may be in that file.
     """
-    for prim in subject.prims:
+    for prim in checked_stage.prims:
         for name, (schema, schema_name) in _TARGET_SCHEMAS.items():
             relationship = prim.GetRelationship(name)
             if not relationship:
                 continue
             for target in relationship.GetTargets():
-                target_prim = subject.stage.GetPrimAtPath(target)
-                if not target_prim and subject.has_only_overs:
+                target_prim = checked_stage.stage.GetPrimAtPath(target)
+                if not target_prim and checked_stage.has_only_overs:
                     continue
                 if (
                     target_prim
@@ -76,20 +76,22 @@ def _check_target(
 MIN_SAME_COSINE = 0.7
 
 
-def check_animations(subject: StageSubject) -> Iterator[Fault]:
+def check_animations(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check array lengths, values and rotations of every SkelAnimation sample."""
-    for animation in subject.prims_of_type(UsdSkel.Animation):
+    for animation in checked_stage.prims_of_type(UsdSkel.Animation):
         joints = token_array(animation.GetJointsAttr())
         yield from duplicate_name_faults(animation.GetJointsAttr())
         if joints:
-            yield from _check_transforms(subject, animation, joints)
+            yield from _check_transforms(checked_stage, animation, joints)
         shapes = token_array(animation.GetBlendShapesAttr())
         yield from duplicate_name_faults(animation.GetBlendShapesAttr())
-        yield from _check_weights(subject, animation.GetBlendShapeWeightsAttr(), shapes)
+        yield from _check_weights(
+            checked_stage, animation.GetBlendShapeWeightsAttr(), shapes
+        )
 
 
 def _check_transforms(
-    subject: StageSubject, animation: Any, joints: list[str]
+    checked_stage: CheckedStage, animation: Any, joints: list[str]
 ) -> Iterator[Fault]:
     faults = list(missing_transform_faults(animation, joints))
     yield from faults
@@ -99,12 +101,12 @@ def _check_transforms(
         if not attr.HasAuthoredValue():
             continue
         width = 4 if name == "rotations" else 3
-        array = subject.sampled_array(attr)
+        array = checked_stage.sampled_array(attr)
         yield from _check_counts("USD200", attr, array, len(joints), "joints")
         sample_indices, values = array.rows(len(joints), width)
         is_non_finite = np.asarray(~np.isfinite(values).all(axis=-1))
         if len(sample_indices) == len(array.counts) and not is_non_finite.any():
-            subject.finite_paths.add(attr.GetPath())
+            checked_stage.finite_paths.add(attr.GetPath())
         if is_non_finite.any():
             yield _non_finite_fault(attr, array, sample_indices, is_non_finite, joints)
         elif name == "rotations" and len(values):
@@ -140,9 +142,9 @@ def _non_finite_fault(
 
 
 def _check_weights(
-    subject: StageSubject, attr: Any, shapes: list[str]
+    checked_stage: CheckedStage, attr: Any, shapes: list[str]
 ) -> Iterator[Fault]:
-    array = subject.sampled_array(attr)
+    array = checked_stage.sampled_array(attr)
     yield from _check_counts("USD206", attr, array, len(shapes), "blendShapes")
     sample_indices, values = array.rows(len(shapes), 1)
     is_not_finite = ~np.isfinite(values[..., 0])
@@ -157,12 +159,13 @@ def _check_rotations(
     values: AnyArray,
     joints: list[str],
 ) -> Iterator[Fault]:
-    squares = np.einsum("fjc,fjc->fj", values, values)
-    is_not_unit = np.abs(squares - 1.0) > 2 * UNIT_TOLERANCE
+    squared_lengths = np.einsum("fjc,fjc->fj", values, values)
+    is_not_unit = np.abs(squared_lengths - 1.0) > 2 * UNIT_TOLERANCE
     if is_not_unit.any():
         row, joint = (int(i[0]) for i in np.nonzero(is_not_unit))
         message = (
-            f"{excerpt(joints[joint])} has length {squares[row, joint] ** 0.5:.6g} "
+            f"{excerpt(joints[joint])} has length "
+            f"{squared_lengths[row, joint] ** 0.5:.6g} "
             f"{samples_text(array, sample_indices[is_not_unit.any(axis=1)])}"
         )
         yield finding("USD203", attr.GetPath(), message)
@@ -178,42 +181,42 @@ def _check_rotations(
         yield finding("USD204", attr.GetPath(), message)
 
 
-def check_known_joints(subject: StageSubject) -> Iterator[Fault]:
+def check_known_joints(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that joints and shapes of animations exist in Skeletons and meshes."""
-    shapes: dict[Any, set[str]] = {}
-    bindings: dict[Any, Any] = {}
-    for prim in subject.prims:
+    shapes_by_animation: dict[Any, set[str]] = {}
+    animations: dict[Any, Any] = {}
+    for prim in checked_stage.prims:
         binding = UsdSkel.BindingAPI(prim)
-        names = token_array(binding.GetBlendShapesAttr())
+        mesh_shapes = token_array(binding.GetBlendShapesAttr())
         is_skeleton = prim.IsA(UsdSkel.Skeleton)
-        if not (names or is_skeleton):
+        if not (mesh_shapes or is_skeleton):
             continue
-        source = binding.GetInheritedAnimationSource()
-        if not source and names:
+        animation = binding.GetInheritedAnimationSource()
+        if not animation and mesh_shapes:
             inherited_skeleton = binding.GetInheritedSkeleton()
-            source = (
+            animation = (
                 inherited_skeleton
                 and UsdSkel.BindingAPI(
                     inherited_skeleton.GetPrim()
                 ).GetInheritedAnimationSource()
             )
-        if not source or not source.IsA(UsdSkel.Animation):
+        if not animation or not animation.IsA(UsdSkel.Animation):
             continue
-        bindings[source.GetPath()] = source
-        shapes.setdefault(source.GetPath(), set()).update(names)
+        animations[animation.GetPath()] = animation
+        shapes_by_animation.setdefault(animation.GetPath(), set()).update(mesh_shapes)
         if is_skeleton:
             joints = token_array(UsdSkel.Skeleton(prim).GetJointsAttr())
-            attr = UsdSkel.Animation(source).GetJointsAttr()
+            attr = UsdSkel.Animation(animation).GetJointsAttr()
             yield from unknown_joint_faults(attr, joints, prim.GetPath())
-    for path, source in bindings.items():
-        attr = UsdSkel.Animation(source).GetBlendShapesAttr()
+    for path, animation in animations.items():
+        attr = UsdSkel.Animation(animation).GetBlendShapesAttr()
         unknown_shapes = [
-            name for name in token_array(attr) if name not in shapes[path]
+            name for name in token_array(attr) if name not in shapes_by_animation[path]
         ]
         if (
             unknown_shapes
-            and not subject.has_only_overs
-            and any(map(is_rig_mesh, subject.prims))
+            and not checked_stage.has_only_overs
+            and any(map(is_rig_mesh, checked_stage.prims))
         ):
             message = f"{len(unknown_shapes)} shapes that no mesh has: "
             yield finding("USD210", attr.GetPath(), message + listed(unknown_shapes))

@@ -20,17 +20,17 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
+from animtool.usd.checks.checked_stage import (
+    AnyArray,
+    CheckedStage,
+    SampledArray,
+    samples_text,
+)
 from animtool.usd.checks.skinned_bounds import (
     SkinnedBounds,
     find_overhang,
     spaced_indices,
     time_code_of,
-)
-from animtool.usd.checks.subject import (
-    AnyArray,
-    SampledArray,
-    StageSubject,
-    samples_text,
 )
 from animtool.usd.layers.faults import (
     joint_parents,
@@ -55,15 +55,15 @@ _INSTANCE_ATTRIBUTES = (
 )
 
 
-def check_extents(subject: StageSubject) -> Iterator[Fault]:
+def check_extents(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that prims have an extent equal to the one USD computes."""
-    if subject.has_only_overs:
+    if checked_stage.has_only_overs:
         return
-    for prim in subject.prims:
+    for prim in checked_stage.prims:
         if not prim.IsA(UsdGeom.Boundable) or not prim.IsDefined():
             continue
         boundable = UsdGeom.Boundable(prim)
-        source = extent_sources(subject, prim)
+        source = extent_sources(checked_stage, prim)
         attr = boundable.GetExtentAttr()
         # A static rig may have its extent in the layer that animates it.
         if source is None or not (source or attr.HasAuthoredValue()):
@@ -78,10 +78,10 @@ def check_extents(subject: StageSubject) -> Iterator[Fault]:
             )
         elif not prim.IsA(UsdSkel.Root) or _has_joints(prim):
             # Without joints, USD computes a point at the origin, or infinite bounds.
-            yield from _compare_extents(subject, boundable, attr, source)
+            yield from _compare_extents(checked_stage, boundable, attr, source)
 
 
-def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
+def extent_sources(checked_stage: CheckedStage, prim: Any) -> list[Any] | None:
     """Return the attributes that determine an extent; None if there are none.
 
     Also None if points or joints are not finite, since there is nothing to compare
@@ -98,35 +98,35 @@ def extent_sources(subject: StageSubject, prim: Any) -> list[Any] | None:
         if not skeletons or not (has_points or _has_joints(prim)):
             return None
         animations = [
-            UsdSkel.BindingAPI(descendant).GetInheritedAnimationSource()
-            for descendant in skeletons
+            UsdSkel.BindingAPI(skeleton).GetInheritedAnimationSource()
+            for skeleton in skeletons
         ]
         animation_schemas = [
-            UsdSkel.Animation(descendant) for descendant in animations if descendant
+            UsdSkel.Animation(animation) for animation in animations if animation
         ]
         return [
             attr
-            for descendant in animation_schemas
-            if descendant
-            for attr in transform_attributes(descendant).values()
+            for animation in animation_schemas
+            if animation
+            for attr in transform_attributes(animation).values()
         ]
     if prim.IsA(UsdGeom.PointBased):
         attr = PointReader(prim).points_attr
         # Extents of meshes with animated points are checked together with the points.
-        has_sampled_points = prim.IsA(UsdGeom.Mesh) and bool(subject.times(attr))
+        has_sampled_points = prim.IsA(UsdGeom.Mesh) and bool(checked_stage.times(attr))
         return [attr] if attr.HasAuthoredValue() and not has_sampled_points else None
     if prim.IsA(UsdGeom.PointInstancer):
-        return _instance_sources(subject, UsdGeom.PointInstancer(prim))
+        return _instance_sources(checked_stage, UsdGeom.PointInstancer(prim))
     return None
 
 
-def _instance_sources(subject: StageSubject, instancer: Any) -> list[Any] | None:
+def _instance_sources(checked_stage: CheckedStage, instancer: Any) -> list[Any] | None:
     """Return the attributes that determine the extent of instances.
 
     Returns None for nested instancers: USD does not terminate if one contains itself.
     """
     prototypes = [
-        subject.stage.GetPrimAtPath(path)
+        checked_stage.stage.GetPrimAtPath(path)
         for path in instancer.GetPrototypesRel().GetForwardedTargets()
     ]
     if not all(prototypes) or any(
@@ -150,9 +150,9 @@ def _has_joints(skel_root: Any) -> bool:
 
 
 def _compare_extents(
-    subject: StageSubject, boundable: Any, attr: Any, sources: list[Any]
+    checked_stage: CheckedStage, boundable: Any, attr: Any, source_attributes: list[Any]
 ) -> Iterator[Fault]:
-    array = subject.sampled_array(attr)
+    array = checked_stage.sampled_array(attr)
     is_wrong_count = array.counts != 2
     if is_wrong_count.any():
         count = array.counts[np.flatnonzero(is_wrong_count)[0]]
@@ -161,13 +161,19 @@ def _compare_extents(
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
     animated_times = sorted(
-        {time for attribute in sources for time in subject.times(attribute)}
+        {
+            time
+            for attribute in source_attributes
+            for time in checked_stage.times(attribute)
+        }
     )
     sampled_extents = extents if array.is_animated else None
     times = array.times
     if sampled_extents is None:
         times = np.array(animated_times or [np.nan])
-    bounds_from_joints = _joint_bounds(subject, boundable, sources, times)
+    bounds_from_joints = _joint_bounds(
+        checked_stage, boundable, source_attributes, times
+    )
     is_exact = sampled_extents is not None or not animated_times
     candidate_indices, outlier_indices = (
         spaced_indices(len(times), MAX_COMPUTED_SAMPLES),
@@ -273,7 +279,7 @@ def _overhang_text(root: Any, extents: FloatArray, times: FloatArray) -> str:
 def bounds_difference(
     extents: FloatArray, bounds: FloatArray, *, must_equal: bool
 ) -> tuple[FloatArray, FloatArray]:
-    """Return how far bounds exceed extents: beyond the tolerance and in total ``(F,)``.
+    """Return by how much bounds exceed extents, less a tolerance and in full ``(F,)``.
 
     The first is at most 0 within the tolerance. Both inputs are ``(F, 2, 3)``. With
     ``must_equal``, extents that are too large differ as well.
@@ -294,7 +300,7 @@ def computed_extent(boundable: Any, code: Any) -> Any:
 
 
 def _joint_bounds(
-    subject: StageSubject, boundable: Any, sources: list[Any], times: FloatArray
+    checked_stage: CheckedStage, boundable: Any, sources: list[Any], times: FloatArray
 ) -> FloatArray | None:
     """Return the joint bounds of a one-skeleton SkelRoot per sample ``(F, 2, 3)``.
 
@@ -314,7 +320,7 @@ def _joint_bounds(
     if UsdGeom.Xformable(skeletons[0]).GetXformOpOrderAttr().Get():
         return None
     skeleton = UsdSkel.Skeleton(skeletons[0])
-    transforms = _local_transforms(subject, skeleton, sources, times)
+    transforms = _local_transforms(checked_stage, skeleton, sources, times)
     if transforms is None:
         return None
     joints = token_array(skeleton.GetJointsAttr())
@@ -328,7 +334,7 @@ def _joint_bounds(
 
 
 def _local_transforms(
-    subject: StageSubject, skeleton: Any, sources: list[Any], times: FloatArray
+    checked_stage: CheckedStage, skeleton: Any, sources: list[Any], times: FloatArray
 ) -> tuple[AnyArray, AnyArray, AnyArray] | None:
     """Return local translations, rotations and scales ``(F or 1, J, …)``."""
     joints = token_array(skeleton.GetJointsAttr())
@@ -351,7 +357,7 @@ def _local_transforms(
     rest_components = () if has_same_joints else decompose(rest)
     components = []
     for component, (attr, width) in enumerate(zip(sources, (3, 4, 3), strict=True)):
-        array = subject.sampled_array(attr)
+        array = checked_stage.sampled_array(attr)
         if (array.counts != len(animated_joints)).any() or not len(array.times):
             return None
         if array.is_animated and not np.array_equal(array.times, times):

@@ -19,16 +19,16 @@ from pxr import Sdf, Tf, Usd
 
 from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import StageSubject
-from animtool.usd.layers.finite import float_array, float_letter
+from animtool.usd.checks.checked_stage import CheckedStage
+from animtool.usd.layers.finite import float_array, float_type_code
 
 
-def check_types(subject: StageSubject) -> Iterator[Fault]:
+def check_types(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that the strongest opinion of an attribute has its schema's type.
 
     Includes SkelBindingAPI properties on prims without the schema, and inbetweens.
     """
-    for attr in subject.attributes:
+    for attr in checked_stage.attributes:
         authored_type = attr.GetPropertyStack()[0].typeName
         expected_type = _expected_type(attr)
         if expected_type is not None and authored_type.type != expected_type.type:
@@ -53,12 +53,12 @@ def _expected_type(attr: Any) -> Any:
     return None
 
 
-def check_splines(subject: StageSubject) -> Iterator[Fault]:
+def check_splines(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that spline knots increase in time, and that no samples hide them.
 
     USD itself refuses knots that are not finite when reading the layer.
     """
-    for attr in subject.attributes:
+    for attr in checked_stage.attributes:
         specs = [spec for spec in attr.GetPropertyStack() if spec.HasSpline()]
         if not specs:
             continue
@@ -77,12 +77,12 @@ def check_splines(subject: StageSubject) -> Iterator[Fault]:
             yield finding("USD275", attr.GetPath(), message)
 
 
-def check_uniform(subject: StageSubject) -> Iterator[Fault]:
+def check_uniform(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that no uniform attribute has time samples."""
-    for attr in subject.attributes:
+    for attr in checked_stage.attributes:
         if attr.GetVariability() != Sdf.VariabilityUniform:
             continue
-        times = subject.times(attr)
+        times = checked_stage.times(attr)
         if times:
             message = (
                 f"{counted(len(times), 'sample')} from time code {times[0]:g} on a "
@@ -118,33 +118,35 @@ NON_NUMERIC_FIELDS = frozenset(
 )
 
 
-def check_finite(subject: StageSubject) -> Iterator[Fault]:
+def check_finite(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that no number in any layer of a stage is NaN or infinite.
 
     Infinities that are a schema's fallback, such as limits of physics joints, are
     allowed.
     """
-    root = subject.stage.GetRootLayer()
-    layers = [layer for layer in subject.stage.GetUsedLayers() if layer != root]
+    root = checked_stage.stage.GetRootLayer()
+    layers = [layer for layer in checked_stage.stage.GetUsedLayers() if layer != root]
     for layer in (root, *sorted(layers, key=lambda layer: str(layer.identifier))):
-        problems = _layer_problems(subject, layer, is_root=layer == root)
-        prim_path = "" if layer == root else f" (in {layer.GetDisplayName()})"
+        problems = _layer_problems(checked_stage, layer, is_root=layer == root)
+        layer_suffix = "" if layer == root else f" (in {layer.GetDisplayName()})"
         for _, group in groupby(problems, key=lambda item: item[0].GetPrimPath()):
-            yield from _first_findings(list(group), prim_path)
+            yield from _first_findings(list(group), layer_suffix)
 
 
-def _first_findings(problems: list[tuple[Any, str]], prim_path: str) -> Iterator[Fault]:
+def _first_findings(
+    problems: list[tuple[Any, str]], layer_suffix: str
+) -> Iterator[Fault]:
     """Yield up to `MAX_FINDINGS` findings of a prim; the last one counts the rest."""
     for i, (path, message) in enumerate(problems[:MAX_FINDINGS], 1):
         omitted_count = len(problems) - MAX_FINDINGS if i == MAX_FINDINGS else 0
         suffix = ""
         if omitted_count > 0:
             suffix = f"; so are {omitted_count} more values of this prim"
-        yield finding("USD171", path, f"{message}{prim_path}{suffix}")
+        yield finding("USD171", path, f"{message}{layer_suffix}{suffix}")
 
 
 def _layer_problems(
-    subject: StageSubject, layer: Any, *, is_root: bool
+    checked_stage: CheckedStage, layer: Any, *, is_root: bool
 ) -> Iterator[tuple[Any, str]]:
     """Yield spec paths with non-finite numbers, grouped by prim."""
     paths: list[Any] = []
@@ -159,22 +161,26 @@ def _layer_problems(
                 ignored_fields | RATE_FIELDS | (ROOT_FIELDS if is_root else set())
             )
             for i, offset in enumerate(layer.subLayerOffsets):
-                if problem := _data_problem(offset, f"subLayerOffsets[{i}]"):
+                if problem := _metadata_problem(offset, f"subLayerOffsets[{i}]"):
                     yield path, problem
         for key in spec.ListInfoKeys():
             if key not in ignored_fields and (
-                problem := _data_problem(spec.GetInfo(key), key)
+                problem := _metadata_problem(spec.GetInfo(key), key)
             ):
                 yield path, problem
-        has_floats = isinstance(spec, Sdf.AttributeSpec) and float_letter(spec.typeName)
-        if has_floats and (problem := _attribute_problem(subject, layer, spec)):
+        has_floats = isinstance(spec, Sdf.AttributeSpec) and float_type_code(
+            spec.typeName
+        )
+        if has_floats and (problem := _attribute_problem(checked_stage, layer, spec)):
             yield path, problem
 
 
-def _data_problem(value: Any, name: str) -> str:
+def _metadata_problem(value: Any, name: str) -> str:
     """Describe the non-finite number of a metadata value; empty if there is none."""
     if isinstance(value, Mapping):
-        problems = (_data_problem(item, f"{name}:{key}") for key, item in value.items())
+        problems = (
+            _metadata_problem(item, f"{name}:{key}") for key, item in value.items()
+        )
         return next(filter(None, problems), "")
     if isinstance(value, Sdf.LayerOffset):
         value = [value.offset, value.scale]
@@ -192,22 +198,24 @@ def _data_problem(value: Any, name: str) -> str:
     return f"its metadata {name} is {_non_finite_number(numbers)}"
 
 
-def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
+def _attribute_problem(checked_stage: CheckedStage, layer: Any, spec: Any) -> str:
     """Describe non-finite values and times of an attribute; empty if all are finite."""
     default = float_array(spec.default) if spec.HasDefaultValue() else None
     problems = []
-    if default is not None and not _is_allowed(subject, spec, default):
+    if default is not None and not _is_allowed(checked_stage, spec, default):
         problems.append(
             f"its default is {_non_finite_number(default)}{_element_index(default)}"
         )
     path = spec.path
-    times = [] if _is_covered(subject, path) else layer.ListTimeSamplesForPath(path)
+    times = (
+        [] if _is_covered(checked_stage, path) else layer.ListTimeSamplesForPath(path)
+    )
     if not all(map(math.isfinite, times)):
         problems.append("the time of a sample is not finite")
     query_sample, non_finite_count, first_problem = layer.QueryTimeSample, 0, ""
     for time in times:
         numbers = float_array(query_sample(path, time))
-        if numbers is None or _is_allowed(subject, spec, numbers):
+        if numbers is None or _is_allowed(checked_stage, spec, numbers):
             continue
         non_finite_count += 1
         if not first_problem:
@@ -219,11 +227,11 @@ def _attribute_problem(subject: StageSubject, layer: Any, spec: Any) -> str:
     return "; ".join(filter(None, (*problems, first_problem)))
 
 
-def _is_covered(subject: StageSubject, path: Any) -> bool:
+def _is_covered(checked_stage: CheckedStage, path: Any) -> bool:
     """Return whether another check covers all samples of an attribute."""
-    if path not in subject.finite_paths:
+    if path not in checked_stage.finite_paths:
         return False
-    stack = subject.stage.GetAttributeAtPath(path).GetPropertyStack()
+    stack = checked_stage.stage.GetAttributeAtPath(path).GetPropertyStack()
     counts: list[int] = [spec.layer.GetNumTimeSamplesForPath(path) for spec in stack]
     return sum(count > 0 for count in counts) == 1
 
@@ -235,13 +243,15 @@ def _is_finite(numbers: npt.NDArray[Any]) -> bool:
     return bool(numbers.min() > -math.inf and numbers.max() < math.inf)
 
 
-def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> bool:
+def _is_allowed(
+    checked_stage: CheckedStage, spec: Any, numbers: npt.NDArray[Any]
+) -> bool:
     if _is_finite(numbers):
         return True
     if np.isnan(numbers).any():
         return False
     path = spec.path.StripAllVariantSelections()
-    prim = subject.stage.GetPrimAtPath(path.GetPrimPath())
+    prim = checked_stage.stage.GetPrimAtPath(path.GetPrimPath())
     if not prim:
         return False
     fallback = prim.GetPrimDefinition().GetAttributeFallbackValue(path.name)
@@ -258,20 +268,22 @@ def _is_allowed(subject: StageSubject, spec: Any, numbers: npt.NDArray[Any]) -> 
 @cache
 def _infinite_fallback_patterns() -> tuple[re.Pattern[str], ...]:
     """Return name patterns of attributes with an infinite schema fallback."""
-    registry, names = Usd.SchemaRegistry(), {*ENGINE_ATTRIBUTES}
+    registry, name_patterns = Usd.SchemaRegistry(), {*ENGINE_ATTRIBUTES}
     for schema in Tf.Type.Find(Usd.SchemaBase).GetAllDerivedTypes():
-        name = Usd.SchemaRegistry.GetSchemaTypeName(schema)
-        definition = registry.FindAppliedAPIPrimDefinition(name)
+        schema_name = Usd.SchemaRegistry.GetSchemaTypeName(schema)
+        definition = registry.FindAppliedAPIPrimDefinition(schema_name)
         if definition is None:
-            definition = registry.FindConcretePrimDefinition(name)
+            definition = registry.FindConcretePrimDefinition(schema_name)
         if definition is None:
             continue
         for attribute in definition.GetPropertyNames():
             fallback = definition.GetAttributeFallbackValue(attribute)
             numbers = None if fallback is None else float_array(fallback)
             if numbers is not None and not _is_finite(numbers):
-                names.add(re.escape(attribute).replace("__INSTANCE_NAME__", ".+"))
-    return tuple(map(re.compile, sorted(names)))
+                name_patterns.add(
+                    re.escape(attribute).replace("__INSTANCE_NAME__", ".+")
+                )
+    return tuple(map(re.compile, sorted(name_patterns)))
 
 
 def _first_non_finite(numbers: npt.NDArray[Any]) -> Any:

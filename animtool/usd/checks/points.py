@@ -16,26 +16,28 @@ from animtool.core.clock import frame_label
 from animtool.core.errors import Fault
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import UNIT_TOLERANCE, PointReader, time_codes_of
+from animtool.usd.checks.checked_stage import CheckedStage, SampledArray, samples_text
 from animtool.usd.checks.extents import bounds_difference
-from animtool.usd.checks.subject import SampledArray, StageSubject, samples_text
 
 
-def check_points(subject: StageSubject) -> Iterator[Fault]:
+def check_points(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check the points and velocities of every prim, in every sample."""
-    for geometry in subject.prims_of_type(UsdGeom.PointBased):
+    for geometry in checked_stage.prims_of_type(UsdGeom.PointBased):
         attr = PointReader(geometry.GetPrim()).points_attr
         if not attr.HasAuthoredValue():
             continue
-        points, bounds = _point_samples(subject, attr)
-        yield from _check_finite(subject, attr, points, bounds)
-        yield from _check_topology(subject, geometry, attr, points)
-        yield from _check_velocities(subject, geometry, points)
-        yield from _check_extent(subject, geometry, points, bounds)
+        points, bounds = _point_samples(checked_stage, attr)
+        yield from _check_finite(checked_stage, attr, points, bounds)
+        yield from _check_topology(checked_stage, geometry, attr, points)
+        yield from _check_velocities(checked_stage, geometry, points)
+        yield from _check_extent(checked_stage, geometry, points, bounds)
 
 
-def _point_samples(subject: StageSubject, attr: Any) -> tuple[SampledArray, FloatArray]:
+def _point_samples(
+    checked_stage: CheckedStage, attr: Any
+) -> tuple[SampledArray, FloatArray]:
     """Return point counts and bounds ``(F, 2, 3)`` of all samples, not the points."""
-    times = subject.times(attr)
+    times = checked_stage.times(attr)
     codes = time_codes_of(times)
     query = Usd.AttributeQuery(attr)
     counts = np.full(len(codes), -1, np.int64)
@@ -52,7 +54,7 @@ def _point_samples(subject: StageSubject, attr: Any) -> tuple[SampledArray, Floa
 
 
 def _check_finite(
-    subject: StageSubject, attr: Any, array: SampledArray, bounds: FloatArray
+    checked_stage: CheckedStage, attr: Any, array: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
     # min and max propagate both NaN and infinity.
     is_not_finite = ~np.isfinite(bounds).all(axis=(1, 2)) & (array.counts > 0)
@@ -60,16 +62,16 @@ def _check_finite(
         message = f"points are not finite {samples_text(array, is_not_finite)}"
         yield finding("USD265", attr.GetPath(), message)
     elif (array.counts >= 0).all():
-        subject.finite_paths.add(attr.GetPath())
+        checked_stage.finite_paths.add(attr.GetPath())
 
 
 def _check_topology(
-    subject: StageSubject, geometry: Any, attr: Any, points: SampledArray
+    checked_stage: CheckedStage, geometry: Any, attr: Any, points: SampledArray
 ) -> Iterator[Fault]:
     prim = geometry.GetPrim()
     if prim.IsA(UsdGeom.Mesh):
         indices = UsdGeom.Mesh(prim).GetFaceVertexIndicesAttr()
-        if subject.times(indices):
+        if checked_stage.times(indices):
             return
         value = indices.Get()
         min_points = int(np.array(value).max(initial=-1)) + 1 if value else 0
@@ -82,7 +84,7 @@ def _check_topology(
             )
             yield finding("USD264", attr.GetPath(), message)
             return
-    elif not prim.IsA(UsdGeom.Curves) or subject.times(
+    elif not prim.IsA(UsdGeom.Curves) or checked_stage.times(
         UsdGeom.Curves(prim).GetCurveVertexCountsAttr()
     ):
         return
@@ -97,13 +99,13 @@ def _check_topology(
 
 
 def _check_velocities(
-    subject: StageSubject, geometry: Any, points: SampledArray
+    checked_stage: CheckedStage, geometry: Any, points: SampledArray
 ) -> Iterator[Fault]:
     attr = geometry.GetVelocitiesAttr()
     if not attr.HasAuthoredValue():
         return
-    velocities, bounds = _point_samples(subject, attr)
-    yield from _check_finite(subject, attr, velocities, bounds)
+    velocities, bounds = _point_samples(checked_stage, attr)
+    yield from _check_finite(checked_stage, attr, velocities, bounds)
     index_by_time = {time: i for i, time in enumerate(points.times.tolist())}
     for i, time in enumerate(velocities.times.tolist()):
         expected_count = points.counts[index_by_time.get(time, 0)]
@@ -117,17 +119,21 @@ def _check_velocities(
 
 
 def _check_extent(
-    subject: StageSubject, geometry: Any, points: SampledArray, bounds: FloatArray
+    checked_stage: CheckedStage, geometry: Any, points: SampledArray, bounds: FloatArray
 ) -> Iterator[Fault]:
     """Compare the bounds of a mesh's animated points with its extent."""
     prim, attr = geometry.GetPrim(), geometry.GetExtentAttr()
-    if not points.is_animated or not prim.IsA(UsdGeom.Mesh) or subject.has_only_overs:
+    if (
+        not points.is_animated
+        or not prim.IsA(UsdGeom.Mesh)
+        or checked_stage.has_only_overs
+    ):
         return
     if not attr.HasAuthoredValue():
         message = f"this {prim.GetTypeName()} has none, but its points move"
         yield finding("USD250", prim.GetPath(), message)
         return
-    array = subject.sampled_array(attr)
+    array = checked_stage.sampled_array(attr)
     if (array.counts != 2).any():
         message = f"not two corners {samples_text(array, array.counts != 2)}"
         yield finding("USD251", attr.GetPath(), message)
@@ -155,17 +161,17 @@ _INSTANCE_ARRAYS = (
 )
 
 
-def check_instancers(subject: StageSubject) -> Iterator[Fault]:
+def check_instancers(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check every PointInstancer: prototypes, lengths, numbers, unit orientations."""
-    for instancer in subject.prims_of_type(UsdGeom.PointInstancer):
+    for instancer in checked_stage.prims_of_type(UsdGeom.PointInstancer):
         prim = instancer.GetPrim()
-        indices = subject.sampled_array(instancer.GetProtoIndicesAttr())
-        yield from _check_prototypes(subject, instancer, indices)
+        indices = checked_stage.sampled_array(instancer.GetProtoIndicesAttr())
+        yield from _check_prototypes(checked_stage, instancer, indices)
         for name in _INSTANCE_ARRAYS:
             attr = prim.GetAttribute(name)
             if not attr or not attr.HasAuthoredValue():
                 continue
-            array = subject.sampled_array(attr)
+            array = checked_stage.sampled_array(attr)
             yield from _check_lengths(attr, array, indices)
             if name != "ids":
                 yield from _check_numbers(
@@ -174,12 +180,12 @@ def check_instancers(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _check_prototypes(
-    subject: StageSubject, instancer: Any, indices: SampledArray
+    checked_stage: CheckedStage, instancer: Any, indices: SampledArray
 ) -> Iterator[Fault]:
     relationship = instancer.GetPrototypesRel()
     targets = relationship.GetForwardedTargets()
-    missing_targets = [t for t in targets if not subject.stage.GetPrimAtPath(t)]
-    if missing_targets and not subject.has_only_overs:
+    missing_targets = [t for t in targets if not checked_stage.stage.GetPrimAtPath(t)]
+    if missing_targets and not checked_stage.has_only_overs:
         yield finding(
             "USD287",
             relationship.GetPath(),
@@ -196,7 +202,7 @@ def _check_prototypes(
     ]
     lowest, highest = np.array(index_ranges, np.int64).reshape(-1, 2).T
     is_out_of_range = (lowest < 0) | (highest >= len(targets))
-    if is_out_of_range.any() and not (subject.has_only_overs and not targets):
+    if is_out_of_range.any() and not (checked_stage.has_only_overs and not targets):
         first_invalid_range = index_ranges[int(np.argmax(is_out_of_range))]
         index = (
             first_invalid_range[0]
@@ -216,10 +222,10 @@ def _check_lengths(
     """Compare array lengths with protoIndices at each sample."""
     if not len(indices.counts):
         return
-    previous_sample = np.zeros(len(array.counts), np.int64)
+    previous_samples = np.zeros(len(array.counts), np.int64)
     if indices.is_animated and array.is_animated:
-        previous_sample = np.searchsorted(indices.times, array.times, side="right") - 1
-    expected_counts = indices.counts[np.clip(previous_sample, 0, None)]
+        previous_samples = np.searchsorted(indices.times, array.times, side="right") - 1
+    expected_counts = indices.counts[np.clip(previous_samples, 0, None)]
     is_optional = not attr.GetName().startswith("positions")
     is_mismatched = (array.counts != expected_counts) & ~(
         is_optional & (array.counts <= 0)

@@ -18,6 +18,7 @@ from animtool.usd.checks.animation import (
     check_bindings,
     check_known_joints,
 )
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.checks.extents import check_extents
 from animtool.usd.checks.finite import (
     COVERED_CODES,
@@ -37,7 +38,6 @@ from animtool.usd.checks.stage_metadata import (
     check_rates,
     check_units,
 )
-from animtool.usd.checks.subject import StageSubject
 from animtool.usd.checks.takes import AnimationTake, animation_takes
 from animtool.usd.checks.value_clips import check_value_clips
 from animtool.usd.layers.dependencies import open_composed
@@ -69,7 +69,7 @@ _CODES_BY_FAMILY = {
 }
 
 
-def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
+def check_with_usd(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Run the UsdValidation validators that animtool's checks do not cover."""
     registry = UsdValidation.ValidationRegistry()
     names = [
@@ -80,13 +80,13 @@ def check_with_usd(subject: StageSubject) -> Iterator[Fault]:
         and ANIMTOOL_KEYWORD not in metadata.GetKeywords()
     ]
     validators = registry.GetOrLoadValidatorsByName(names)
-    errors = UsdValidation.ValidationContext(validators).Validate(subject.stage)
-    faults = [_fault(error) for error in errors]
+    errors = UsdValidation.ValidationContext(validators).Validate(checked_stage.stage)
+    faults = [_usd_error_fault(error) for error in errors]
     # They run in parallel and return findings in any order.
     yield from sorted(faults, key=lambda f: (f.code, f.where or "", f.message))
 
 
-def _fault(error: Any) -> Fault:
+def _usd_error_fault(error: Any) -> Fault:
     validator = error.GetValidator().GetMetadata().name
     code = _CODES_BY_VALIDATOR.get(validator)
     if code is None:
@@ -112,7 +112,7 @@ def _error_location(error: Any) -> str:
     return "/"
 
 
-Check: TypeAlias = Callable[[StageSubject], Iterator[Fault]]
+Check: TypeAlias = Callable[[CheckedStage], Iterator[Fault]]
 
 # Checks that read no samples; the others need valid rates.
 STATIC_CHECKS: tuple[Check, ...] = (check_rate_values, check_composition, check_units)
@@ -139,7 +139,7 @@ SAMPLE_CHECKS: tuple[Check, ...] = (
 
 @dataclass(frozen=True, slots=True)
 class Inspection:
-    """Findings in a USD layer."""
+    """Findings in a USD layer, and its animations."""
 
     faults: list[Fault]  # findings in the layer and the layers it composes
     # Its animations, for rules on motion.
@@ -156,25 +156,28 @@ def inspect_layer(path: Path | str) -> Inspection:
     path = Path(path)
     try:
         with without_usd_warnings(), usd_errors(path):
-            subject = StageSubject(open_composed(open_layer(path), path))
-            findings = [*_faults(subject), *_run_check(check_with_usd, subject)]
+            checked_stage = CheckedStage(open_composed(open_layer(path), path))
+            findings = [
+                *_all_faults(checked_stage),
+                *_run_check(check_with_usd, checked_stage),
+            ]
             # Without a rate, a unit or an up axis, motion has no speed or size.
             has_units = not any(
                 fault.code in {"USD253", "USD260"} for fault in findings
             )
-            takes = _takes(subject, path) if has_units else []
+            takes = _valid_takes(checked_stage, path) if has_units else []
             if has_units and all(fault.code != "USD267" for fault in findings):
-                findings += _resized_rigs(subject, path)
+                findings += _resized_rigs(checked_stage, path)
     except FormatError as error:
         return Inspection(list(error.faults))
     faults = [replace(fault, path=str(path)) for fault in _distinct_faults(findings)]
-    return Inspection(faults, takes, subject.has_only_overs)
+    return Inspection(faults, takes, checked_stage.has_only_overs)
 
 
-def _resized_rigs(subject: StageSubject, path: Path) -> list[Fault]:
+def _resized_rigs(checked_stage: CheckedStage, path: Path) -> list[Fault]:
     """Return warnings about Skeletons in another unit than they were written in."""
     notices: list[Fault] = []
-    for skeleton in subject.prims_of_type(UsdSkel.Skeleton):
+    for skeleton in checked_stage.prims_of_type(UsdSkel.Skeleton):
         if not stored_data(skeleton.GetPrim()).get("rig"):
             continue
         from animtool.usd.rigs.stored import merge_rig
@@ -195,45 +198,49 @@ def check_layer(path: Path | str) -> list[Fault]:
 
 def check_stage(stage: Any) -> list[Fault]:
     """Return the findings of animtool's checks on a stage."""
-    return _distinct_faults(_faults(StageSubject(stage)))
+    return _distinct_faults(_all_faults(CheckedStage(stage)))
 
 
-def _faults(subject: StageSubject) -> list[Fault]:
-    faults = [fault for check in STATIC_CHECKS for fault in _run_check(check, subject)]
+def _all_faults(checked_stage: CheckedStage) -> list[Fault]:
+    faults = [
+        fault for check in STATIC_CHECKS for fault in _run_check(check, checked_stage)
+    ]
     # With an invalid rate, samples have no time.
     if all(fault.code != "USD253" for fault in faults):
         faults += [
-            fault for check in SAMPLE_CHECKS for fault in _run_check(check, subject)
+            fault
+            for check in SAMPLE_CHECKS
+            for fault in _run_check(check, checked_stage)
         ]
     covered_locations = {fault.where for fault in faults if fault.code in COVERED_CODES}
-    finite_faults = _run_check(check_finite, subject)
+    finite_faults = _run_check(check_finite, checked_stage)
     return faults + [
         fault for fault in finite_faults if fault.where not in covered_locations
     ]
 
 
-def _takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
+def _valid_takes(checked_stage: CheckedStage, path: Path) -> list[AnimationTake]:
     """Return a stage's animations as takes; empty if an attribute has a wrong type."""
     try:
-        return animation_takes(subject, path)
+        return animation_takes(checked_stage, path)
     except (FormatError, AttributeError, IndexError, TypeError, ValueError):
-        if any(True for _ in check_types(subject)):
+        if any(True for _ in check_types(checked_stage)):
             return []
         raise
 
 
-def _run_check(check: Check, subject: StageSubject) -> Iterator[Fault]:
+def _run_check(check: Check, checked_stage: CheckedStage) -> Iterator[Fault]:
     """Yield the findings of a check, including errors that USD raises.
 
     The check stops at a value of the wrong type; the findings report that type.
     """
     try:
-        with usd_errors(Path(subject.stage.GetRootLayer().identifier)):
-            yield from check(subject)
+        with usd_errors(Path(checked_stage.stage.GetRootLayer().identifier)):
+            yield from check(checked_stage)
     except FormatError as error:
         yield from (replace(fault, where="/") for fault in error.faults)
     except (AttributeError, IndexError, TypeError, ValueError):
-        type_faults = list(check_types(subject))
+        type_faults = list(check_types(checked_stage))
         if not type_faults:
             raise
         yield from type_faults

@@ -12,7 +12,7 @@ from pxr import UsdPhysics, UsdSkel
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, listed
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import StageSubject
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.layers.faults import (
     UNIT_TOLERANCE,
     bind_faults,
@@ -29,16 +29,16 @@ from animtool.usd.rigs.rest_pose import (
 )
 
 
-def check_physics_joints(subject: StageSubject) -> Iterator[Fault]:
+def check_physics_joints(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check bodies, frames, axes and limits of every physics joint."""
-    for joint in subject.prims_of_type(UsdPhysics.Joint):
-        yield from _check_bodies(subject, joint)
+    for joint in checked_stage.prims_of_type(UsdPhysics.Joint):
+        yield from _check_bodies(checked_stage, joint)
         yield from _check_frames(joint)
         yield from _check_axis(joint.GetPrim())
         yield from _check_limits(joint.GetPrim())
 
 
-def _check_bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
+def _check_bodies(checked_stage: CheckedStage, joint: Any) -> Iterator[Fault]:
     targets = []
     for relationship in (joint.GetBody0Rel(), joint.GetBody1Rel()):
         bodies = relationship.GetTargets()
@@ -47,10 +47,13 @@ def _check_bodies(subject: StageSubject, joint: Any) -> Iterator[Fault]:
             message = f"{counted(len(bodies), 'target')} instead of one"
             yield finding("USD270", relationship.GetPath(), message)
         for target in bodies:
-            if not subject.stage.GetPrimAtPath(target) and not subject.has_only_overs:
+            if (
+                not checked_stage.stage.GetPrimAtPath(target)
+                and not checked_stage.has_only_overs
+            ):
                 message = f"{target} does not exist"
                 yield finding("USD270", relationship.GetPath(), message)
-    if not targets and not subject.has_only_overs and joint.GetPrim().IsDefined():
+    if not targets and not checked_stage.has_only_overs and joint.GetPrim().IsDefined():
         yield finding("USD270", joint.GetPath(), "neither body0 nor body1 is named")
 
 
@@ -137,17 +140,17 @@ def _check_pair(
 TRANSFORM_TOLERANCE = 1e-4
 
 
-def check_skeletons(subject: StageSubject) -> Iterator[Fault]:
+def check_skeletons(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check topology, rest and bind transforms of every Skeleton."""
     bound_skeletons = set()
-    for prim in subject.prims:
+    for prim in checked_stage.prims:
         binding = UsdSkel.BindingAPI(prim)
         if binding.GetJointIndicesAttr().HasAuthoredValue():
             inherited_skeleton = binding.GetInheritedSkeleton()
             bound_skeletons.add(
                 inherited_skeleton.GetPrim().GetPath() if inherited_skeleton else None
             )
-    for skeleton in subject.prims_of_type(UsdSkel.Skeleton):
+    for skeleton in checked_stage.prims_of_type(UsdSkel.Skeleton):
         joints = token_array(skeleton.GetJointsAttr())
         if not joints:
             continue
@@ -186,18 +189,18 @@ def _check_bind(
     rest = matrix_array(skeleton.GetRestTransformsAttr())
     is_complete = not faults and len(bind) == len(rest) == len(joints)
     if is_complete and np.isfinite(rest).all():
-        yield from _check_swapped(skeleton, joints, rest, bind, is_skinned)
+        yield from _check_inverted(skeleton, joints, rest, bind, is_skinned)
         yield from collapsed_bone_faults(skeleton, joints)
 
 
-def _check_swapped(
+def _check_inverted(
     skeleton: Any,
     joints: list[str],
     rest: FloatArray,
     bind: FloatArray,
     is_skinned: bool,
 ) -> Iterator[Fault]:
-    """Detect rest and bind transforms that are swapped."""
+    """Yield a fault if bind transforms are identity, or rest and bind are inverses."""
     parents = joint_parents(joints)
     if (parents >= np.arange(len(joints))).any():
         return

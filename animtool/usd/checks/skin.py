@@ -12,7 +12,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, counted, excerpt, listed
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import PointReader
-from animtool.usd.checks.subject import StageSubject
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.layers.faults import duplicate_tokens, is_singular, token_array
 from animtool.usd.rigs.prims import self_and_ancestors
 
@@ -21,13 +21,13 @@ from animtool.usd.rigs.prims import self_and_ancestors
 SUM_TOLERANCE = 4e-3
 
 
-def check_skins(subject: StageSubject) -> Iterator[Fault]:
+def check_skins(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check indices, weights and bind transform of every skinned prim.
 
     Inherited bindings on prims above geometry are not checked, nor are prims without
     points.
     """
-    for prim in subject.prims:
+    for prim in checked_stage.prims:
         binding = UsdSkel.BindingAPI(prim)
         indices = binding.GetJointIndicesPrimvar()
         weights = binding.GetJointWeightsPrimvar()
@@ -99,23 +99,25 @@ def _count_mismatch(
     prim: Any, indices: Any, weights: Any, index_count: int, weight_count: int
 ) -> str:
     """Describe a mismatch of influence counts; empty if they agree."""
-    sizes = indices.GetElementSize(), weights.GetElementSize()
+    element_sizes = indices.GetElementSize(), weights.GetElementSize()
     interpolations = indices.GetInterpolation(), weights.GetInterpolation()
-    if sizes[0] != sizes[1] or interpolations[0] != interpolations[1]:
+    if element_sizes[0] != element_sizes[1] or interpolations[0] != interpolations[1]:
         return (
-            f"jointIndices have elementSize {sizes[0]} ({interpolations[0]}), "
-            f"jointWeights {sizes[1]} ({interpolations[1]})"
+            f"jointIndices have elementSize {element_sizes[0]} ({interpolations[0]}), "
+            f"jointWeights {element_sizes[1]} ({interpolations[1]})"
         )
     if interpolations[0] not in {"constant", "vertex"}:
         return f"interpolation {interpolations[0]}; allowed: constant, vertex"
     row_count = 1 if interpolations[0] == "constant" else point_count(prim)
-    expected_length = index_count if row_count is None else row_count * sizes[0]
+    expected_length = index_count if row_count is None else row_count * element_sizes[0]
     if (
         index_count != expected_length
         or weight_count != expected_length
-        or index_count % max(sizes[0], 1)
+        or index_count % max(element_sizes[0], 1)
     ):
-        expected_text = "" if row_count is None else f" for {row_count} x {sizes[0]}"
+        expected_text = (
+            "" if row_count is None else f" for {row_count} x {element_sizes[0]}"
+        )
         return (
             f"{index_count} jointIndices and {weight_count} jointWeights{expected_text}"
         )
@@ -172,9 +174,9 @@ def _check_geom_bind(attr: Any) -> Iterator[Fault]:
         yield finding("USD235", attr.GetPath(), message)
 
 
-def check_targets(subject: StageSubject) -> Iterator[Fault]:
+def check_targets(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that a prim with blend shapes names one target per shape."""
-    for prim in subject.prims:
+    for prim in checked_stage.prims:
         if not has_points(prim):
             continue
         binding = UsdSkel.BindingAPI(prim)
@@ -192,17 +194,17 @@ def check_targets(subject: StageSubject) -> Iterator[Fault]:
             yield finding("USD245", attr.GetPath(), message)
 
 
-def check_shapes(subject: StageSubject) -> Iterator[Fault]:
+def check_shapes(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check offsets, indices and inbetweens of every BlendShape."""
     # Point count of the prims that each shape deforms.
-    counts: dict[Any, int] = {}
-    for prim in subject.prims:
+    point_count_by_shape: dict[Any, int] = {}
+    for prim in checked_stage.prims:
         targets = prim.GetRelationship("skel:blendShapeTargets")
         count = point_count(prim) if targets else None
         if count:
-            counts |= dict.fromkeys(targets.GetTargets(), count)
-    for shape in subject.prims_of_type(UsdSkel.BlendShape):
-        yield from _check_shape(shape, counts.get(shape.GetPath()))
+            point_count_by_shape |= dict.fromkeys(targets.GetTargets(), count)
+    for shape in checked_stage.prims_of_type(UsdSkel.BlendShape):
+        yield from _check_shape(shape, point_count_by_shape.get(shape.GetPath()))
 
 
 def _offset_rows(attr: Any) -> FloatArray:
@@ -259,11 +261,11 @@ def _check_indices(
         )
         yield finding("USD241", path, message)
     elif len(np.unique(indices)) != len(indices):
-        rows, counts = np.unique(indices, return_counts=True)
-        repeated_rows = rows[counts > 1]
+        unique_indices, counts = np.unique(indices, return_counts=True)
+        repeated_indices = unique_indices[counts > 1]
         message = (
-            f"{len(repeated_rows)} of {len(indices)} are duplicates, "
-            f"the first is {repeated_rows[0]}"
+            f"{len(repeated_indices)} of {len(indices)} are duplicates, "
+            f"the first is {repeated_indices[0]}"
         )
         yield finding("USD241", path, message)
 

@@ -27,8 +27,8 @@ class _SkinnedPrim:
 
     query: Any  # `UsdSkel.SkinningQuery`
     points: Any  # rest points
-    shapes: Any  # `UsdSkel.BlendShapeQuery`; None if there are no shapes
-    offsets: list[Any]  # points that each shape moves, and their offsets
+    shape_query: Any  # `UsdSkel.BlendShapeQuery`; None if there are no shapes
+    shape_arrays: list[Any]  # points that each shape moves, and their offsets
 
 
 class SkinnedBounds:
@@ -104,7 +104,7 @@ def find_overhang(
     bounds = SkinnedBounds(root)
     max_samples = max(1, MAX_SKINNED_POINTS // max(bounds.point_count, 1))
     sample_indices = spaced_indices(len(times), max_samples)
-    largest, largest_code = 0.0, times[0]
+    largest_distance, largest_code = 0.0, times[0]
     for i in sample_indices.tolist():
         point_bounds = bounds.at_time(time_code_of(times[i]))
         if point_bounds is None:
@@ -113,11 +113,11 @@ def find_overhang(
         max_distance = float(
             np.maximum(lowest - point_bounds[0], point_bounds[1] - highest).max()
         )
-        if max_distance > largest:
-            largest, largest_code = max_distance, times[i]
-    if not largest:
+        if max_distance > largest_distance:
+            largest_distance, largest_code = max_distance, times[i]
+    if not largest_distance:
         return None
-    return largest, largest_code, len(sample_indices) == len(times)
+    return largest_distance, largest_code, len(sample_indices) == len(times)
 
 
 def spaced_indices(count: int, max_count: int) -> IntArray:
@@ -140,14 +140,14 @@ def _skinned_prims(binding: Any) -> list[_SkinnedPrim]:
         points = PointReader(prim).points_attr.Get(Usd.TimeCode.EarliestTime())
         if not points:
             continue
-        shapes = offsets = None
+        shape_query = shape_arrays = None
         if query.HasBlendShapes():
-            shapes = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
-            offsets = [
-                shapes.ComputeBlendShapePointIndices(),
-                shapes.ComputeSubShapePointOffsets(),
+            shape_query = UsdSkel.BlendShapeQuery(UsdSkel.BindingAPI(prim))
+            shape_arrays = [
+                shape_query.ComputeBlendShapePointIndices(),
+                shape_query.ComputeSubShapePointOffsets(),
             ]
-        prims.append(_SkinnedPrim(query, points, shapes, offsets or []))
+        prims.append(_SkinnedPrim(query, points, shape_query, shape_arrays or []))
     return prims
 
 
@@ -157,14 +157,14 @@ def _posed_points(
     """Return the deformed points of a prim ``(N, 3)`` and the prim of their space."""
     query, points = skinned_prim.query, type(skinned_prim.points)(skinned_prim.points)
     animation = skeleton.GetAnimQuery()
-    if skinned_prim.shapes is not None and animation:
+    if skinned_prim.shape_query is not None and animation:
         weights = animation.ComputeBlendShapeWeights(code)
         mapper = query.GetBlendShapeMapper()
         weights = mapper.Remap(weights) if weights and mapper else weights
         if weights:
-            subshapes = skinned_prim.shapes.ComputeSubShapeWeights(weights)
-            skinned_prim.shapes.ComputeDeformedPoints(
-                *subshapes, *skinned_prim.offsets, points
+            subshapes = skinned_prim.shape_query.ComputeSubShapeWeights(weights)
+            skinned_prim.shape_query.ComputeDeformedPoints(
+                *subshapes, *skinned_prim.shape_arrays, points
             )
     if not query.HasJointInfluences():
         return np.array(points, np.float64), query.GetPrim()

@@ -12,21 +12,21 @@ from pxr import Sdf, UsdGeom
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, excerpt
 from animtool.core.rules import finding
-from animtool.usd.checks.subject import StageSubject
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.layers.dependencies import unresolved_arcs
 from animtool.usd.layers.faults import unit_and_axis_faults
 from animtool.usd.rigs.prims import stored_data
 
 
-def check_composition(subject: StageSubject) -> Iterator[Fault]:
+def check_composition(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that all composition arcs resolve."""
-    for location, text in unresolved_arcs(subject.stage):
+    for location, text in unresolved_arcs(checked_stage.stage):
         yield finding("USD261", location, text[:300])
 
 
-def check_assets(subject: StageSubject) -> Iterator[Fault]:
+def check_assets(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that asset paths are relative and resolve."""
-    for layer in subject.stage.GetUsedLayers():
+    for layer in checked_stage.stage.GetUsedLayers():
         absolute_paths = [
             asset
             for asset in layer.GetCompositionAssetDependencies()
@@ -36,9 +36,9 @@ def check_assets(subject: StageSubject) -> Iterator[Fault]:
             prim_path = _referencing_prim(layer, path)
             message = f"{layer.GetDisplayName()} refers to {excerpt(path, 80)}"
             yield finding("USD262", prim_path, message)
-    for attr in subject.attributes:
-        kind = attr.GetTypeName()
-        if kind in {Sdf.ValueTypeNames.Asset, Sdf.ValueTypeNames.AssetArray}:
+    for attr in checked_stage.attributes:
+        value_type = attr.GetTypeName()
+        if value_type in {Sdf.ValueTypeNames.Asset, Sdf.ValueTypeNames.AssetArray}:
             yield from _check_asset_values(attr, attr.Get())
 
 
@@ -93,12 +93,12 @@ COMMON_UNITS = tuple(
 TIME_TOLERANCE = 1e-6
 
 
-def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
+def check_rate_values(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that frame rates of layers are positive.
 
     Otherwise USD may hang when it looks up samples.
     """
-    for layer in _composed_layers(subject):
+    for layer in _composed_layers(checked_stage):
         for name in RATE_FIELDS:
             if not layer.pseudoRoot.HasInfo(name):
                 continue
@@ -108,28 +108,28 @@ def check_rate_values(subject: StageSubject) -> Iterator[Fault]:
                 yield finding("USD253", ROOT_PATH, message)
 
 
-def _composed_layers(subject: StageSubject) -> Iterator[Any]:
+def _composed_layers(checked_stage: CheckedStage) -> Iterator[Any]:
     """Yield the composed layers, except value clips."""
-    yield from subject.stage.GetUsedLayers(includeClipLayers=False)
+    yield from checked_stage.stage.GetUsedLayers(includeClipLayers=False)
 
 
-def check_rates(subject: StageSubject) -> Iterator[Fault]:
+def check_rates(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that frame rates are authored and equal in all layers."""
-    root = subject.stage.GetRootLayer().pseudoRoot
+    root = checked_stage.stage.GetRootLayer().pseudoRoot
     unauthored_rates = [name for name in RATE_FIELDS if not root.HasInfo(name)]
     if unauthored_rates and any(
-        subject.times(attr) or attr.ValueMightBeTimeVarying()
-        for attr in subject.attributes
+        checked_stage.times(attr) or attr.ValueMightBeTimeVarying()
+        for attr in checked_stage.attributes
     ):
         message = f"no {' and no '.join(unauthored_rates)}, but there is motion"
         yield finding("USD252", ROOT_PATH, message)
-    yield from _check_layer_rates(subject)
+    yield from _check_layer_rates(checked_stage)
 
 
-def _check_layer_rates(subject: StageSubject) -> Iterator[Fault]:
-    root = subject.stage.GetRootLayer()
+def _check_layer_rates(checked_stage: CheckedStage) -> Iterator[Fault]:
+    root = checked_stage.stage.GetRootLayer()
     rate = root.timeCodesPerSecond
-    for layer in _composed_layers(subject):
+    for layer in _composed_layers(checked_stage):
         layer_rate = layer.timeCodesPerSecond
         if layer.anonymous or layer_rate == rate:
             continue
@@ -149,9 +149,9 @@ def _check_layer_rates(subject: StageSubject) -> Iterator[Fault]:
             yield finding("USD257", ROOT_PATH, message)
 
 
-def check_range(subject: StageSubject) -> Iterator[Fault]:
+def check_range(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that the stage's range is valid and contains the samples."""
-    stage = subject.stage
+    stage = checked_stage.stage
     start, end = stage.GetStartTimeCode(), stage.GetEndTimeCode()
     if not (math.isfinite(start) and math.isfinite(end)):
         yield finding("USD254", ROOT_PATH, f"the range is {span_label(start, end)}")
@@ -165,8 +165,8 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
         return
     spans = {
         str(attr.GetPath()): (times[0], times[-1])
-        for attr in subject.attributes
-        if (times := subject.times(attr))
+        for attr in checked_stage.attributes
+        if (times := checked_stage.times(attr))
         # Characters share such an animation with different time offsets.
         and not stored_data(attr.GetPrim()).get("shared")
     }
@@ -187,7 +187,7 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
     ]
     if not paths_outside:
         yield from _check_off_frame_ends(
-            subject, start, end, (first_sample, last_sample)
+            checked_stage, start, end, (first_sample, last_sample)
         )
     else:
         first_code, last_code = spans[paths_outside[0]]
@@ -203,7 +203,10 @@ def check_range(subject: StageSubject) -> Iterator[Fault]:
 
 
 def _check_off_frame_ends(
-    subject: StageSubject, start: float, end: float, sample_span: tuple[float, float]
+    checked_stage: CheckedStage,
+    start: float,
+    end: float,
+    sample_span: tuple[float, float],
 ) -> Iterator[Fault]:
     """Yield a fault if the range starts or ends between frames without a sample."""
     codes_by_verb = {"starts": start, "ends": end}
@@ -215,7 +218,9 @@ def _check_off_frame_ends(
     if not off_frame_codes:
         return
     sample_times = {
-        round(t, 6) for attr in subject.attributes for t in subject.times(attr)
+        round(t, 6)
+        for attr in checked_stage.attributes
+        for t in checked_stage.times(attr)
     }
     unsampled_ends = [
         f"{verb} at {frame_label(code)}"
@@ -227,12 +232,12 @@ def _check_off_frame_ends(
         yield finding("USD289", ROOT_PATH, message + span_label(*sample_span))
 
 
-def check_units(subject: StageSubject) -> Iterator[Fault]:
+def check_units(checked_stage: CheckedStage) -> Iterator[Fault]:
     """Check that unit and up axis are valid and equal in all sublayers.
 
     USD itself checks that they are authored.
     """
-    stage: Any = subject.stage
+    stage: Any = checked_stage.stage
     unit = UsdGeom.GetStageMetersPerUnit(stage)
     faults = list(unit_and_axis_faults(stage))
     yield from faults

@@ -22,7 +22,7 @@ from animtool.motion.reorient import transform_motion
 from animtool.motion.take import Take
 from animtool.rig.parts import Shape
 from animtool.rig.skeleton import Joint, Rig
-from animtool.usd.checks.subject import StageSubject
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.layers.faults import (
     PrimLocation,
     matrix_array,
@@ -73,48 +73,53 @@ class _StageData:
     """Stage data shared by all animations, read once."""
 
     # First and last sample of each prim, by path.
-    spans: dict[Any, tuple[float, float]]
+    spans_by_path: dict[Any, tuple[float, float]]
     # First and last sample of the stage; None if it has none.
     stage_range: tuple[float, float] | None
     # Bindings and their joint indices, by the path of their Skeleton.
-    skins: dict[Any, list[tuple[Any, Any]]]
+    skins_by_skeleton: dict[Any, list[tuple[Any, Any]]]
 
     @staticmethod
-    def from_subject(subject: StageSubject) -> _StageData:
+    def from_stage(checked_stage: CheckedStage) -> _StageData:
         """Return the shared data of a stage."""
-        spans: dict[Any, tuple[float, float]] = {}
-        for attr in subject.attributes:
-            if times := subject.times(attr):
+        spans_by_path: dict[Any, tuple[float, float]] = {}
+        for attr in checked_stage.attributes:
+            if times := checked_stage.times(attr):
                 path = attr.GetPrimPath()
-                first_code, last_code = spans.get(path, (times[0], times[-1]))
-                spans[path] = min(first_code, times[0]), max(last_code, times[-1])
-        spans_by_end = list(zip(*spans.values(), strict=True))
-        skins: dict[Any, list[tuple[Any, Any]]] = {}
-        for prim in subject.prims:
+                first_code, last_code = spans_by_path.get(path, (times[0], times[-1]))
+                spans_by_path[path] = (
+                    min(first_code, times[0]),
+                    max(last_code, times[-1]),
+                )
+        spans_by_end = list(zip(*spans_by_path.values(), strict=True))
+        skins_by_skeleton: dict[Any, list[tuple[Any, Any]]] = {}
+        for prim in checked_stage.prims:
             binding = UsdSkel.BindingAPI(prim)
             indices = binding.GetJointIndicesPrimvar()
             if not (indices and indices.HasAuthoredValue()):
                 continue
             if skeleton := binding.GetInheritedSkeleton():
-                skins.setdefault(skeleton.GetPath(), []).append((binding, indices))
+                skins_by_skeleton.setdefault(skeleton.GetPath(), []).append(
+                    (binding, indices)
+                )
         stage_range = (
             (min(spans_by_end[0]), max(spans_by_end[1])) if spans_by_end else None
         )
-        return _StageData(spans, stage_range, skins)
+        return _StageData(spans_by_path, stage_range, skins_by_skeleton)
 
 
-def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
+def animation_takes(checked_stage: CheckedStage, path: Path) -> list[AnimationTake]:
     """Return the valid animations of a stage as takes.
 
     Animations with wrong array lengths or non-finite values are omitted, since the
     checks report them.
     """
-    skeletons = list(subject.prims_of_type(UsdSkel.Skeleton))
+    skeletons = list(checked_stage.prims_of_type(UsdSkel.Skeleton))
     # Other checks visit equal instances once; here all of them are searched.
-    skeletons_by_animation = _bound_skeletons(find_skeletons(subject.stage))
-    stage_data = _StageData.from_subject(subject)
+    skeletons_by_animation = _bound_skeletons(find_skeletons(checked_stage.stage))
+    stage_data = _StageData.from_stage(checked_stage)
     takes = []
-    for animation in subject.prims_of_type(UsdSkel.Animation):
+    for animation in checked_stage.prims_of_type(UsdSkel.Animation):
         skeleton = skeletons_by_animation.get(animation.GetPath())
         if skeleton is None:
             # A shared animation is not the motion of a single character.
@@ -122,7 +127,7 @@ def animation_takes(subject: StageSubject, path: Path) -> list[AnimationTake]:
                 continue
             skeleton = _nearest_skeleton(animation, skeletons)
         try:
-            take = _animation_take(subject, path, animation, skeleton, stage_data)
+            take = _animation_take(checked_stage, path, animation, skeleton, stage_data)
         except AnimtoolError:
             continue
         if take is not None:
@@ -154,7 +159,7 @@ def _nearest_skeleton(animation: Any, skeletons: list[Any]) -> Any:
 
 
 def _animation_take(
-    subject: StageSubject,
+    checked_stage: CheckedStage,
     path: Path,
     animation: Any,
     skeleton: Any,
@@ -162,21 +167,27 @@ def _animation_take(
 ) -> AnimationTake | None:
     joints = token_array(animation.GetJointsAttr())
     shapes = token_array(animation.GetBlendShapesAttr())
-    rig_data = _animation_rig(subject, animation, skeleton, joints, path)
+    rig_data = _skeleton_rig_of_animation(
+        checked_stage, animation, skeleton, joints, path
+    )
     placement_attributes = animated_ancestors(skeleton.GetPrim()) if skeleton else []
     components = zip(transform_attributes(animation).values(), (3, 4, 3), strict=True)
     attributes = [(attr, len(joints), width) for attr, width in components]
     attributes.append((animation.GetBlendShapeWeightsAttr(), len(shapes), 1))
-    times = {t for attr, count, _ in attributes if count for t in subject.times(attr)}
+    times = {
+        t for attr, count, _ in attributes if count for t in checked_stage.times(attr)
+    }
     times.update(t for attr in placement_attributes for t in attr.GetTimeSamples())
-    custom_data, stage = stored_data(animation.GetPrim()), subject.stage
+    custom_data, stage = stored_data(animation.GetPrim()), checked_stage.stage
     codes = np.array(sorted(times), np.float64)
     if custom_data.get("shared"):
         # Its characters have time offsets, so samples may lie outside the frames.
         first_code, last_code = stage.GetStartTimeCode(), stage.GetEndTimeCode()
         codes = np.arange(first_code, last_code + 1)
-    attribute_rows = [_attribute_rows(subject, *entry, codes) for entry in attributes]
-    motion = _build_motion(rig_data, joints, shapes, attribute_rows)
+    attribute_rows = [
+        _attribute_rows(checked_stage, *entry, codes) for entry in attributes
+    ]
+    motion = _motion_arrays(rig_data, joints, shapes, attribute_rows)
     if motion is None:
         return None
     translations, rotations, scales, weights = motion
@@ -196,13 +207,13 @@ def _animation_take(
         ).map(Channel.compact)
     rig = replace(rig_data.rig, shapes=tuple(Shape(name) for name in shapes))
     rig = rig_at_stage_placement(rig, placement)
-    take = Take(rig, _build_clock(subject, codes), motion_channels)
+    take = Take(rig, _build_clock(checked_stage, codes), motion_channels)
     rate = float(stage.GetFramesPerSecond())
     return AnimationTake(
         str(animation.GetPath()),
         take,
         codes if len(codes) else None,
-        _frame_range(subject, animation, stage_data),
+        _frame_range(checked_stage, animation, stage_data),
         skeleton is not None,
         _influencing_joints(skeleton, rig_data, stage_data) if skeleton else None,
         _bind_positions(skeleton, rig_data.rig, placement) if skeleton else None,
@@ -211,35 +222,39 @@ def _animation_take(
     )
 
 
-def _animation_rig(
-    subject: StageSubject, animation: Any, skeleton: Any, joints: list[str], path: Path
+def _skeleton_rig_of_animation(
+    checked_stage: CheckedStage,
+    animation: Any,
+    skeleton: Any,
+    joints: list[str],
+    path: Path,
 ) -> SkeletonRig:
-    """Return an animation's rig; the first sample is its rest if it has no Skeleton."""
+    """Return an animation's rig; without a Skeleton, its first sample is the rest."""
     if skeleton is not None and token_array(skeleton.GetJointsAttr()):
         return skeleton_rig(skeleton, path)
-    meters = UsdGeom.GetStageMetersPerUnit(subject.stage)
-    up = up_axis(subject.stage)
+    meters_per_unit = UsdGeom.GetStageMetersPerUnit(checked_stage.stage)
+    up = up_axis(checked_stage.stage)
     name = str(animation.GetPrim().GetName())
     if not joints:
         # A face with shapes only has no joint to rotate.
-        rig = Rig(name, (Joint(name, -1),), meters, up)
+        rig = Rig(name, (Joint(name, -1),), meters_per_unit, up)
         return SkeletonRig(rig, [], np.ones((1, 3)))
     rest = np.tile(np.eye(4), (len(joints), 1, 1))
-    array = subject.sampled_array(animation.GetTranslationsAttr())
+    array = checked_stage.sampled_array(animation.GetTranslationsAttr())
     sample_indices, values = array.rows(len(joints), 3)
     if len(sample_indices):
         rest[:, 3, :3] = values[0]
     location = PrimLocation.from_prim(path, animation)
-    return rig_from_tokens(joints, rest, name, location, meters, up, {})
+    return rig_from_tokens(joints, rest, name, location, meters_per_unit, up, {})
 
 
 def _attribute_rows(
-    subject: StageSubject, attr: Any, count: int, width: int, codes: FloatArray
+    checked_stage: CheckedStage, attr: Any, count: int, width: int, codes: FloatArray
 ) -> FloatArray | None:
     """Return attribute values at time codes ``(F, count, width)``; None if invalid."""
     if not count or not attr:
         return None
-    array = subject.sampled_array(attr)
+    array = checked_stage.sampled_array(attr)
     sample_indices, samples = array.rows(count, width)
     if not len(sample_indices) or len(sample_indices) != len(array.times):
         return None
@@ -263,20 +278,20 @@ def _attribute_rows(
     )
 
 
-def _build_motion(
+def _motion_arrays(
     rig_data: SkeletonRig,
     joints: list[str],
     shapes: list[str],
-    rows: Sequence[FloatArray | None],
+    attribute_rows: Sequence[FloatArray | None],
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray | None] | None:
     """Return translations, rotations, scales and weights; None if invalid."""
     rig = rig_data.rig
-    weights = rows[3]
-    if (joints and any(row is None for row in rows[:3])) or (
+    weights = attribute_rows[3]
+    if (joints and any(row is None for row in attribute_rows[:3])) or (
         not joints and weights is None
     ):
         return None
-    frame_count = next(len(row) for row in rows if row is not None)
+    frame_count = next(len(row) for row in attribute_rows if row is not None)
     if shapes and weights is None:
         weights = np.zeros((frame_count, len(shapes), 1))
     rests = (
@@ -284,11 +299,13 @@ def _build_motion(
         rig.rest_rotations,
         rig_data.rest_scales,
     )
-    index = {token: i for i, token in enumerate(rig_data.tokens)}
-    joint_indices = np.array([index.get(token, -1) for token in joints], np.int64)
+    index_by_token = {token: i for i, token in enumerate(rig_data.tokens)}
+    joint_indices = np.array(
+        [index_by_token.get(token, -1) for token in joints], np.int64
+    )
     translations, rotations, scales = (
         fill_with_rest(rest, row, joint_indices, frame_count)
-        for rest, row in zip(rests, rows[:3], strict=True)
+        for rest, row in zip(rests, attribute_rows[:3], strict=True)
     )
     if not (np.linalg.norm(rotations, axis=2) > 0.0).all():
         return None
@@ -296,15 +313,15 @@ def _build_motion(
     return translations, so3.align_signs(so3.normalize(rotations)), scales, weights
 
 
-def _build_clock(subject: StageSubject, codes: FloatArray) -> Clock:
-    fps = rate_from_float(subject.stage.GetTimeCodesPerSecond())
+def _build_clock(checked_stage: CheckedStage, codes: FloatArray) -> Clock:
+    fps = rate_from_float(checked_stage.stage.GetTimeCodesPerSecond())
     start = time_fraction(float(codes[0])) if len(codes) else Fraction(1)
     step = time_fraction(float(np.median(np.diff(codes)))) if len(codes) > 1 else 1
     return Clock(fps, start, Fraction(step) or Fraction(1), max(len(codes), 1))
 
 
 def _frame_range(
-    subject: StageSubject, animation: Any, stage_data: _StageData
+    checked_stage: CheckedStage, animation: Any, stage_data: _StageData
 ) -> tuple[float, float] | None:
     """Return the frame range of an animation, or of its stage.
 
@@ -313,50 +330,50 @@ def _frame_range(
     authored_range = stored_take_range(animation)
     if authored_range is not None:
         return float(authored_range[0]), float(authored_range[1])
-    stage = subject.stage
+    stage = checked_stage.stage
     if not (
         stage.HasAuthoredMetadata("startTimeCode")
         and stage.HasAuthoredMetadata("endTimeCode")
     ):
         return None
-    span = stage_data.spans.get(animation.GetPath())
+    span = stage_data.spans_by_path.get(animation.GetPath())
     if span is None or span != stage_data.stage_range:
         return None
     return float(stage.GetStartTimeCode()), float(stage.GetEndTimeCode())
 
 
 def _influencing_joints(
-    skeleton: Any, rig: SkeletonRig, stage_data: _StageData
+    skeleton: Any, skeleton_rig: SkeletonRig, stage_data: _StageData
 ) -> frozenset[str] | None:
     """Return the joints that influence points, and their ancestors."""
     used_joints: set[int] = set()
-    skins = stage_data.skins.get(skeleton.GetPath())
-    if not skins:
+    skins_by_skeleton = stage_data.skins_by_skeleton.get(skeleton.GetPath())
+    if not skins_by_skeleton:
         return None
-    index = {token: i for i, token in enumerate(rig.tokens)}
-    for binding, indices in skins:
-        binding_joints = token_array(binding.GetJointsAttr()) or rig.tokens
+    index_by_token = {token: i for i, token in enumerate(skeleton_rig.tokens)}
+    for binding, indices in skins_by_skeleton:
+        binding_joints = token_array(binding.GetJointsAttr()) or skeleton_rig.tokens
         used_joints |= {
-            index[binding_joints[i]]
+            index_by_token[binding_joints[i]]
             for i in _weighted_joints(binding, indices, len(binding_joints))
-            if binding_joints[i] in index
+            if binding_joints[i] in index_by_token
         }
     for joint in sorted(used_joints):
-        parent = rig.rig.joints[joint].parent
+        parent = skeleton_rig.rig.joints[joint].parent
         while parent >= 0 and parent not in used_joints:
             used_joints.add(parent)
-            parent = rig.rig.joints[parent].parent
-    return frozenset(rig.rig.joints[i].name for i in used_joints)
+            parent = skeleton_rig.rig.joints[parent].parent
+    return frozenset(skeleton_rig.rig.joints[i].name for i in used_joints)
 
 
-def _weighted_joints(binding: Any, indices: Any, count: int) -> Iterator[int]:
+def _weighted_joints(binding: Any, indices: Any, joint_count: int) -> Iterator[int]:
     """Yield the indices of the joints with a nonzero weight."""
     joint_indices = np.array(indices.Get() or (), np.int64)
     weights = np.array(binding.GetJointWeightsPrimvar().Get() or (), np.float64)
     if len(weights) == len(joint_indices):
         joint_indices = joint_indices[weights > 0.0]
     yield from np.unique(
-        joint_indices[(joint_indices >= 0) & (joint_indices < count)]
+        joint_indices[(joint_indices >= 0) & (joint_indices < joint_count)]
     ).tolist()
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel, Vt
 
 from animtool.core.errors import Fault, counted
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.checks.extents import bounds_union, computed_extent, extent_sources
 from animtool.usd.checks.skinned_bounds import SkinnedBounds
-from animtool.usd.checks.subject import StageSubject
 from animtool.usd.fixes.target import (
     Change,
     Edit,
@@ -169,7 +169,7 @@ def author_computed_extent(target: FixTarget, fault: Fault) -> Edit:
     has_variants = any(
         ancestor.HasVariantSets() for ancestor in self_and_ancestors(prim)
     )
-    if has_variants and _layer_spec(target, prim) is None:
+    if has_variants and _extent_spec(target, prim) is None:
         raise NotFixableError("a variant sets the motion; author it in each variant")
 
     def edit() -> Change:
@@ -191,16 +191,16 @@ def author_computed_extent(target: FixTarget, fault: Fault) -> Edit:
 def _author_extent(target: FixTarget, prim: Any) -> Change:
     """Author the extent of a prim at every sample of its sources."""
     boundable, layer = UsdGeom.Boundable(prim), target.layer
-    attr, subject = boundable.GetExtentAttr(), StageSubject(target.stage)
-    sources = extent_sources(subject, prim) or []
-    times = sorted({time for source in sources for time in subject.times(source)})
+    attr, checked_stage = boundable.GetExtentAttr(), CheckedStage(target.stage)
+    sources = extent_sources(checked_stage, prim) or []
+    times = sorted({time for source in sources for time in checked_stage.times(source)})
     codes = [Usd.TimeCode(time) for time in times] or [Usd.TimeCode.Default()]
     old_extents = [attr.Get(code) for code in codes]
     skinned_bounds = SkinnedBounds(prim) if prim.IsA(UsdSkel.Root) else None
     new_extents = [_extent_with_skin(boundable, code, skinned_bounds) for code in codes]
     if old_extents == new_extents and attr.HasAuthoredValue():
         return _extent_change(old_extents, new_extents)
-    spec = _layer_spec(target, prim) or _create_extent_spec(target, prim)
+    spec = _extent_spec(target, prim) or _create_extent_spec(target, prim)
     with Sdf.ChangeBlock():
         spec.ClearInfo("timeSamples")
         for time, value in zip(times, new_extents, strict=False):
@@ -210,7 +210,7 @@ def _author_extent(target: FixTarget, prim: Any) -> Change:
     return _extent_change(old_extents, new_extents)
 
 
-def _layer_spec(target: FixTarget, prim: Any) -> Any:
+def _extent_spec(target: FixTarget, prim: Any) -> Any:
     """Return the root layer's extent spec if it is the strongest opinion, else None."""
     attr = prim.GetAttribute(EXTENT)
     stack = attr.GetPropertyStack(Usd.TimeCode.EarliestTime()) if attr else ()

@@ -42,13 +42,14 @@ class Change:
 
     text: str  # the action and its counts, for the report
     # Largest change of a number, None if not meaningful.
-    largest: float | None = None
+    largest_change: float | None = None
     unit: str = ""  # unit of the largest change
 
     def __str__(self) -> str:
-        if self.largest is None:
+        if self.largest_change is None:
             return self.text
-        return f"{self.text}; largest change {self.largest:.3g} {self.unit}".rstrip()
+        change_text = f"{self.largest_change:.3g} {self.unit}".rstrip()
+        return f"{self.text}; largest change {change_text}"
 
 
 # Applies one fix and returns what changed.
@@ -128,7 +129,7 @@ def replace_arrays(spec: Any, new_arrays: list[AnyArray]) -> tuple[int, float]:
     """
     layer, path = spec.layer, spec.path
     times = layer.ListTimeSamplesForPath(path)
-    changed_count, largest = 0, 0.0
+    changed_count, largest_change = 0, 0.0
     with Sdf.ChangeBlock():
         for i, value in enumerate(_stored_values(spec)):
             old_array, new_array = np.array(value), new_arrays[i]
@@ -136,14 +137,14 @@ def replace_arrays(spec: Any, new_arrays: list[AnyArray]) -> tuple[int, float]:
                 continue
             changed_count += 1
             difference = np.abs(new_array.astype(np.float64) - old_array)
-            largest = max(largest, float(difference.max()))
+            largest_change = max(largest_change, float(difference.max()))
             rows = np.ascontiguousarray(new_array.astype(old_array.dtype))
             array = type(value).FromNumpy(rows)
             if times:
                 layer.SetTimeSample(path, times[i], array)
             else:
                 spec.default = array
-    return changed_count, largest
+    return changed_count, largest_change
 
 
 def _stored_values(spec: Any) -> list[Any]:
@@ -158,7 +159,7 @@ def _stored_values(spec: Any) -> list[Any]:
 
 @contextmanager
 def edited_layer(path: Path, content: Any = None) -> Iterator[FixTarget]:
-    """Yield a file's stage, its layer with edited content; None keeps the content."""
+    """Yield a file's stage with its layer edited to ``content``; None keeps it."""
     layer = open_layer(path)
     with without_usd_warnings(), usd_errors(path):
         try:

@@ -11,7 +11,7 @@ from pxr import Sdf, Usd
 from animtool.core.clock import frame_label, span_label
 from animtool.core.errors import Fault, counted
 from animtool.maths import so3
-from animtool.usd.checks.subject import StageSubject
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.fixes.target import (
     Change,
     Edit,
@@ -155,8 +155,10 @@ def _range_text(layer: Any) -> str:
 
 def _frame_span(stage: Any) -> tuple[float, float]:
     """Return the first and last frame of the samples, ignoring motion blur samples."""
-    subject = StageSubject(stage)
-    times = sorted({t for attr in subject.attributes for t in subject.times(attr)})
+    checked_stage = CheckedStage(stage)
+    times = sorted(
+        {t for attr in checked_stage.attributes for t in checked_stage.times(attr)}
+    )
     if not times or not (math.isfinite(times[0]) and math.isfinite(times[-1])):
         raise NotFixableError("there are no samples to compute the range from")
     sample_times = set(times)

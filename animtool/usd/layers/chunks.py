@@ -160,7 +160,7 @@ def system_clip_files(output: Path) -> ClipFiles:
 
 
 class FrameReport(Protocol):
-    """What was written for the frames of one prim, as in reports."""
+    """A report that counts the written frames of one prim."""
 
     def add_block(self, block: FrameBlock) -> None:
         """Add a block of written frames to the report."""
@@ -173,7 +173,7 @@ def write_frames(
 ) -> None:
     """Write blocks of frames of all prims, and count them in the prims' reports."""
     for block in blocks:
-        reports[block.prim].add_block(block)
+        reports[block.prim_index].add_block(block)
         writer.add(block)
 
 
@@ -187,7 +187,7 @@ class LayerWriter:
 
     def add(self, block: FrameBlock) -> None:
         """Write a block of frames of one prim."""
-        self._writers[block.prim].add(block)
+        self._writers[block.prim_index].add(block)
         self.first = min(self.first, block.codes[0])
         self.last = max(self.last, block.codes[-1])
 
@@ -246,7 +246,9 @@ class ChunkedWriter:
         """Write a block of frames to the chunk files of its time codes."""
         codes, begin = block.codes, 0
         while begin < len(codes):
-            chunk, sample = divmod(self._next_samples[block.prim], self._chunk_size)
+            chunk, sample = divmod(
+                self._next_samples[block.prim_index], self._chunk_size
+            )
             frame_count = min(self._chunk_size - sample, len(codes) - begin)
             if sample == 0 and chunk:
                 self._write_block(
@@ -260,7 +262,7 @@ class ChunkedWriter:
             self._write_block(
                 chunk, block.select_frames(slice(begin, begin + frame_count))
             )
-            self._next_samples[block.prim] += frame_count
+            self._next_samples[block.prim_index] += frame_count
             begin += frame_count
         self.last = max(self.last, float(codes[-1]))
         for chunk in sorted(self._open_chunks):
@@ -268,7 +270,7 @@ class ChunkedWriter:
                 self._close_chunk(chunk)
 
     def _write_block(self, chunk: int, block: FrameBlock) -> None:
-        self._open_chunks[chunk][1][block.prim].add(block)
+        self._open_chunks[chunk][1][block.prim_index].add(block)
 
     def _close_chunk(self, chunk: int) -> None:
         self._open_chunks.pop(chunk)[0].close()
@@ -297,15 +299,17 @@ class ChunkedWriter:
 
     def _author_clip_metadata(self, layer: Any, path: str) -> None:
         """Author the files as value clips of a prim."""
-        starts, files = self.chunk_starts, self.files
+        chunk_starts, files = self.chunk_starts, self.files
         clips = {
             "assetPaths": Sdf.AssetPathArray(
                 [Sdf.AssetPath(f"./{chunk.name}") for chunk in self.paths]
             ),
             "primPath": path,
             "manifestAssetPath": Sdf.AssetPath(f"./{files.manifest.name}"),
-            "active": Vt.Vec2dArray([(code, i) for i, code in enumerate(starts)]),
-            "times": Vt.Vec2dArray([(code, code) for code in (starts[0], self.last)]),
+            "active": Vt.Vec2dArray([(code, i) for i, code in enumerate(chunk_starts)]),
+            "times": Vt.Vec2dArray(
+                [(code, code) for code in (chunk_starts[0], self.last)]
+            ),
         }
         layer.GetPrimAtPath(path).SetInfo("clips", {files.name: clips})
 

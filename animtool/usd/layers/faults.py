@@ -127,9 +127,9 @@ def joint_order_faults(
         yield finding("USD220", attribute_path, message)
         return
     parents = joint_parents(joints)
-    before_parent = np.flatnonzero(parents > np.arange(len(joints)))
-    if len(before_parent):
-        child = int(before_parent[0])
+    misplaced_joints = np.flatnonzero(parents > np.arange(len(joints)))
+    if len(misplaced_joints):
+        child = int(misplaced_joints[0])
         message = (
             f"joint {child}, {excerpt(joints[child])}, comes before its parent, "
             f"joint {parents[child]}"

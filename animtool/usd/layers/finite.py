@@ -24,7 +24,7 @@ _TYPE_LIMITS = {
     for type_code, dtype in (("h", np.float16), ("f", np.float32), ("d", np.float64))
 }
 _TYPE_NAMES = {"h": "float16", "f": "float32", "d": "float64"}
-_SCALAR_LETTERS = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
+_SCALAR_TYPE_CODES = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": "d"}
 # Bit masks of float16: all but the sign, and the largest finite number.
 _HALF_MAGNITUDE, _HALF_LIMIT = np.uint16(0x7FFF), 0x7BFF
 # Half the distance between the largest float32 and the next smaller one: rounding
@@ -54,11 +54,11 @@ class ValueLabels:
 
 
 @cache
-def float_letter(type_name: Any) -> str:
+def float_type_code(type_name: Any) -> str:
     """Return the type code (h, f or d) of a value type; empty if not a float."""
     name = str(type_name.scalarType.cppTypeName)
-    if name in _SCALAR_LETTERS:
-        return _SCALAR_LETTERS[name]
+    if name in _SCALAR_TYPE_CODES:
+        return _SCALAR_TYPE_CODES[name]
     return name[-1] if name.startswith("Gf") and name[-1] in _TYPE_LIMITS else ""
 
 
@@ -129,7 +129,7 @@ def check_value(
 ) -> None:
     """Raise `OutputError` if an attribute's type cannot store a value (USD170).
 
-    ``code`` is the time code; None is the default.
+    ``time_code`` None is the default.
     """
     floats = float_array(value)
     if (
@@ -143,11 +143,11 @@ def check_value(
     _refuse_non_finite(rows, rows, type_code, labels, time_codes)
 
 
-def check_data(value: object, name: str) -> None:
+def check_finite_metadata(value: object, name: str) -> None:
     """Raise `OutputError` if metadata contains a non-finite number (USD170)."""
     if isinstance(value, Mapping):
         for key, item in value.items():
-            check_data(item, f"{name}:{key}")
+            check_finite_metadata(item, f"{name}:{key}")
     elif isinstance(value, float):
         check_value(value, "d", ValueLabels(name))
 

@@ -76,7 +76,7 @@ def check_suffix(path: Path) -> None:
 
 
 @dataclass(frozen=True, slots=True)
-class RootPath:
+class RootTrajectory:
     """The motion of the SkelRoot: translations ``(F, 3)``, rotations ``(F, 4)``.
 
     Stored in float64, so that it adds no error to the joints.
@@ -97,7 +97,7 @@ class WrittenBlock:
     scales: npt.NDArray[np.float16] | None
     extents: Float32Array  # bounds of the joints, SkelRoot space ``(F, 2, 3)`` float32
     # Motion of the SkelRoot, if it has that of the root joint.
-    root: RootPath | None
+    root: RootTrajectory | None
     error: float  # largest displacement of a joint by rounding [m]
     error_code: float  # time code of the largest error
     error_joint_index: int  # joint with the largest error
@@ -174,7 +174,7 @@ class UsdTake:
 
 @dataclass(slots=True)
 class WrittenTake:
-    """What was written for one take, as in reports."""
+    """Counts, errors and warnings of one written take, as reported."""
 
     animation: str  # path of its SkelAnimation
     span: FrameSpan  # first and last frame, and time codes per second

@@ -21,7 +21,7 @@ class UsdNames:
 
     names: list[str]  # legal, unique names
     # Source names by legal name, if they differ.
-    originals: dict[str, str]
+    sources_by_legal_name: dict[str, str]
     notices: list[Fault]  # one warning per name that another already uses
 
 
@@ -72,8 +72,8 @@ def distinct_names(
 ) -> UsdNames:
     """Return legal, unique names; numbers are appended to duplicates."""
     names: list[str] = []
-    originals: dict[str, str] = {}
-    first_original: dict[str, str] = {}
+    sources_by_legal_name: dict[str, str] = {}
+    original_by_unique_name: dict[str, str] = {}
     notices: list[Fault] = []
     legal_names = list(map(legal_name, proposed_names))
     rows = zip(
@@ -84,16 +84,17 @@ def distinct_names(
             notices.append(
                 Fault(
                     "USD101",
-                    f"{excerpt(first_original[legal])} and {excerpt(name)} both become "
-                    f"{excerpt(legal)} in USD; the second is written as {unique!r}",
+                    f"{excerpt(original_by_unique_name[legal])} and {excerpt(name)} "
+                    f"both become {excerpt(legal)} in USD; the second is written "
+                    f"as {unique!r}",
                     severity=Severity.WARNING,
                 )
             )
-        first_original[unique] = name
+        original_by_unique_name[unique] = name
         names.append(unique)
         if unique != source:
-            originals[unique] = source
-    return UsdNames(names, originals, notices)
+            sources_by_legal_name[unique] = source
+    return UsdNames(names, sources_by_legal_name, notices)
 
 
 def replace_prefix(path: object, old: str, new: str) -> str:

@@ -41,10 +41,10 @@ from animtool.maths import so3
 from animtool.usd.layers.finite import (
     ValueLabels,
     all_rows_equal,
-    check_data,
+    check_finite_metadata,
     check_rows,
     check_value,
-    float_letter,
+    float_type_code,
 )
 from animtool.usd.layers.names import legal_name
 from animtool.usd.layers.text_faults import layer_fault
@@ -83,7 +83,7 @@ def author_metadata(layer: Any, metadata: StageMetadata) -> None:
         "endTimeCode": float(metadata.span.last),
         "metersPerUnit": metadata.meters_per_unit,
     }
-    check_data(numbers, "metadata")
+    check_finite_metadata(numbers, "metadata")
     if metadata.default_prim:
         layer.defaultPrim = metadata.default_prim
     layer.framesPerSecond = numbers["timeCodesPerSecond"]
@@ -264,8 +264,8 @@ def attribute_spec(
     variability = Sdf.VariabilityUniform if is_uniform else Sdf.VariabilityVarying
     attr = Sdf.AttributeSpec(spec, name, type_name, variability)
     if value is not None:
-        if letter := float_letter(type_name):
-            check_value(value, letter, ValueLabels(str(attr.path)))
+        if type_code := float_type_code(type_name):
+            check_value(value, type_code, ValueLabels(str(attr.path)))
         attr.default = value
     if interpolation:
         attr.SetInfo("interpolation", interpolation)
@@ -275,17 +275,17 @@ def attribute_spec(
 def write_samples(
     attr: Any,
     codes: npt.NDArray[np.floating[Any]],
-    frames: IntArray,
+    sample_indices: IntArray,
     values: Sequence[Any],
 ) -> None:
     """Write values of an attribute at selected time codes.
 
     The first value is also the default; a single value is only written as the default.
     """
-    letter, labels = float_letter(attr.typeName), ValueLabels(str(attr.path))
-    for code, value in zip(codes[frames].tolist(), values, strict=True):
-        if letter:
-            check_value(value, letter, labels, code)
+    type_code, labels = float_type_code(attr.typeName), ValueLabels(str(attr.path))
+    for code, value in zip(codes[sample_indices].tolist(), values, strict=True):
+        if type_code:
+            check_value(value, type_code, labels, code)
         if len(values) > 1:
             attr.layer.SetTimeSample(attr.path, code, value)
     attr.default = values[0]
@@ -355,9 +355,9 @@ def author_model(layer: Any, path: str) -> Any:
 
 def author_xform_order(spec: Any, *names: str) -> None:
     """Author the xformOpOrder of a prim."""
-    order = Vt.TokenArray(names)
+    op_order = Vt.TokenArray(names)
     types = Sdf.ValueTypeNames
-    attribute_spec(spec, "xformOpOrder", types.TokenArray, order, is_uniform=True)
+    attribute_spec(spec, "xformOpOrder", types.TokenArray, op_order, is_uniform=True)
 
 
 def apply_schemas(spec: Any, schemas: Sequence[str]) -> None:
@@ -397,8 +397,8 @@ class SampleWriter:
     """Writes the time samples of an attribute; constant values become its default.
 
     The frames before the first change share one array. Signs of quaternions ``(F, …,
-    4)`` continue across frames and blocks. With `every_frame`, each frame is a sample;
-    with `with_default`, the first one is also the default.
+    4)`` continue across frames and blocks. With `writes_every_frame`, each frame is a
+    sample; with `with_default`, the first one is also the default.
 
     Attributes:
         has_samples: Whether samples are written, as values changed or every frame is
@@ -419,9 +419,9 @@ class SampleWriter:
         self._attribute, self._path = attr, attr.path
         self._set_sample = attr.layer.SetTimeSample
         self._convert_value = convert
-        self._every_frame = writes_every_frame
+        self._writes_every_frame = writes_every_frame
         self._has_default = with_default
-        self._float_letter = float_letter(attr.typeName)
+        self._float_type_code = float_type_code(attr.typeName)
         self._labels = ValueLabels(str(self._path), noun, names)
         self._first_value: npt.NDArray[Any] | None = None
         self._are_quaternions = are_quaternions
@@ -432,9 +432,9 @@ class SampleWriter:
     def add(self, codes: FloatArray, values: npt.NDArray[Any]) -> None:
         """Add frames of values ``(F, …)``."""
         values = self._with_continuous_signs(np.ascontiguousarray(values))
-        if self._float_letter:
-            check_rows(values, self._float_letter, self._labels, codes)
-        if self._every_frame:
+        if self._float_type_code:
+            check_rows(values, self._float_type_code, self._labels, codes)
+        if self._writes_every_frame:
             if not self.has_samples and self._has_default:
                 self._attribute.default = self._convert_value(values[0])
             self.has_samples = True
@@ -488,6 +488,6 @@ class SampleWriter:
         if not self.has_samples:
             default = fallback if self._first_value is None else self._first_value
             value = self._convert_value(default)
-            if self._float_letter:
-                check_value(value, self._float_letter, self._labels)
+            if self._float_type_code:
+                check_value(value, self._float_type_code, self._labels)
             self._attribute.default = value

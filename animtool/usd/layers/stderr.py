@@ -33,7 +33,7 @@ _LAST_LINE_PREFIX = b" ("
 def without_usd_warnings(
     dropped_texts: tuple[bytes, ...] = _DIAGNOSTIC_PREFIXES,
 ) -> Iterator[None]:
-    """Return a context that drops USD's warnings, all or those with certain texts.
+    """Drop USD's warnings printed in the context: all, or those with certain texts.
 
     USD prints them to the process's stderr, bypassing Python. Other output to stderr is
     printed afterwards.

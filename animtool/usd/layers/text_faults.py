@@ -22,15 +22,15 @@ _UNQUOTED_NAME = re.compile(r"(def|over|class)(\s+\w+)?\s+([A-Za-z_]\w*)\s*([({]
 # A prim line; its first word may be a misspelled specifier.
 _PRIM_LINE = re.compile(r'\s*([A-Za-z]+)\s+(?:[A-Z]\w*\s+)?"[A-Za-z_]\w*"\s*[({\s})]*$')
 _SPECIFIERS = ("def", "over", "class")
-_MAX_LENGTH = 300
+_MAX_TEXT_LENGTH = 300
 
 
 @dataclass(frozen=True, slots=True)
 class _ParserError:
     """An error of USD's parser, and the text around it."""
 
-    match: re.Match[str]  # of its pattern in the text of USD
-    context: str  # the text from the position on, in its line
+    match: re.Match[str]  # match of the error's pattern in USD's text
+    context: str  # the rest of its line from the error's position
     lines: Sequence[str]  # known lines of the file
     line: int  # 1-based line, 0 if unknown
 
@@ -55,7 +55,7 @@ class _FaultText(NamedTuple):
 
 
 def _unclosed_fault(error: _ParserError, bracket: str) -> _FaultText:
-    """Return the fault of a list or tuple without its end, or without a comma."""
+    """Return the fault of a list or tuple that is not closed or lacks a comma."""
     context = error.context
     noun = {"]": "list", ")": "tuple"}[bracket]
     if not context:
@@ -73,7 +73,7 @@ def _unclosed_fault(error: _ParserError, bracket: str) -> _FaultText:
 
 
 def _missing_fault(error: _ParserError) -> _FaultText:
-    """Return the fault of a missing bracket, or of a line that USD does not know."""
+    """Return the fault of a missing bracket, or of a line that USD cannot parse."""
     bracket, context = error.match[1], error.context
     if not context:
         hint = f"add {bracket!r} at its end, or copy or export the file again"
@@ -109,7 +109,7 @@ _SAMPLE = re.compile(r"\s*[-+.\deE]+\s*:\s*\S")
 
 
 def _samples_fault(error: _ParserError) -> _FaultText:
-    """Return the fault of time samples, at the first line that is none."""
+    """Return the fault of invalid time samples, located at the first invalid line."""
     message, hint = "the time samples cannot be parsed", "write each as time: value,"
     for number in range(error.line + 1, len(error.lines) + 1):
         text = error.lines[number - 1].strip()
@@ -129,7 +129,7 @@ def _samples_fault(error: _ParserError) -> _FaultText:
 
 
 def _value_fault(error: _ParserError) -> _FaultText:
-    """Return the fault of a value that is not one of its type."""
+    """Return the fault of a value that does not match its declared type."""
     message = f"{excerpt(error.context)} is not a value of its type"
     declaration = re.search(r"(\w+)(\[\])?\s+[\w:.]+\s*=", error.source_line)
     type_name = declaration[1] if declaration else "string"
@@ -148,18 +148,22 @@ _VALUE_HINTS = {
 }
 
 
-def _plain(message: str, hint: str | None) -> Callable[[_ParserError], _FaultText]:
+def _constant_fault(
+    message: str, hint: str | None
+) -> Callable[[_ParserError], _FaultText]:
     """Return a function that returns the same fault for every error."""
     return lambda _: _FaultText(message, hint)
 
 
 def _unclosed_text(mark: str) -> Callable[[_ParserError], _FaultText]:
-    """Return the fault of a text or path without the mark that ends it."""
-    return _plain(f"{mark} is missing after this", f"close the value with {mark}")
+    """Return a function that reports a text or path without its closing mark."""
+    return _constant_fault(
+        f"{mark} is missing after this", f"close the value with {mark}"
+    )
 
 
 _FAULT_PATTERNS: dict[str, Callable[[_ParserError], _FaultText]] = {
-    r"Unable to parse layer version|is not a valid usda layer": _plain(
+    r"Unable to parse layer version|is not a valid usda layer": _constant_fault(
         f"the first line is not {USDA_HEADER!r}",
         f"write {USDA_HEADER!r} in the first line",
     ),
@@ -170,7 +174,7 @@ _FAULT_PATTERNS: dict[str, Callable[[_ParserError], _FaultText]] = {
             "save it with an older USD, or update usd-core",
         )
     ),
-    r"Cannot determine file format": _plain(
+    r"Cannot determine file format": _constant_fault(
         "is not a USD file", "animtool convert writes rigs, clips and takes as USD"
     ),
     r"Expected (\S+)": _missing_fault,
@@ -203,7 +207,7 @@ _FAULT_PATTERNS: dict[str, Callable[[_ParserError], _FaultText]] = {
         else "cannot be parsed to its end",
         _quoting_hint(error.context) or "correct the text, or export the layer again",
     ),
-    r"[Ff]ile too small|bootstrap|truncated": _plain(
+    r"[Ff]ile too small|bootstrap|truncated": _constant_fault(
         "is not a binary USD file, or not all of one", "write or copy it again"
     ),
 }
@@ -273,4 +277,4 @@ def layer_fault(text: str, path: Path) -> Fault:
                     column = end if stated_line < line else 1
                     location |= {"lines": (stated_line,), "column": column}
                 return Fault("USD001", message, str(path), hint=hint, **location)
-    return Fault("USD001", text[:_MAX_LENGTH], str(path), **location)
+    return Fault("USD001", text[:_MAX_TEXT_LENGTH], str(path), **location)

@@ -1,4 +1,4 @@
-"""Writes a temporary_path stage that composes a layer with others for display."""
+"""Writes a temporary stage that composes a layer with others for display."""
 
 from __future__ import annotations
 

@@ -167,10 +167,10 @@ def _joint_limits(
     if kind == "fixed":
         return None, None
     if kind == "ball":
-        names = [f"physics:coneAngle{i}Limit" for i in (0, 1)]
+        cone_limit_names = [f"physics:coneAngle{i}Limit" for i in (0, 1)]
         limit_names = product(ROTATION_AXES, ("low", "high"))
         for name in (
-            *names,
+            *cone_limit_names,
             *(f"limit:{axis}:physics:{end}" for axis, end in limit_names),
         ):
             source.read_number_or_infinity(prim.GetAttribute(name))
@@ -223,10 +223,11 @@ def _valid_range(
 
 
 def _joint_drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | None:
-    axes = {"prismatic": ["linear"], "ball": ["rotX", "rotY", "rotZ"]}
-    names = axes.get(kind, ["angular"])
-    drives = [UsdPhysics.DriveAPI(prim, axis) for axis in names]
-    if not all(prim.HasAPI(UsdPhysics.DriveAPI, axis) for axis in names):
+    """Return the drive of a joint in SI units; None if it has none."""
+    axes_by_kind = {"prismatic": ["linear"], "ball": ["rotX", "rotY", "rotZ"]}
+    drive_axes = axes_by_kind.get(kind, ["angular"])
+    drives = [UsdPhysics.DriveAPI(prim, axis) for axis in drive_axes]
+    if not all(prim.HasAPI(UsdPhysics.DriveAPI, axis) for axis in drive_axes):
         return None
     is_linear = kind == "prismatic"
     force_unit = source.kilograms_per_unit * source.meters_per_unit ** (
@@ -237,20 +238,20 @@ def _joint_drive(source: PhysicsStage, prim: Any, kind: str) -> JointDrive | Non
     )
     position_unit = source.meters_per_unit if is_linear else math.radians(1.0)
 
-    def value(drive: Any, name: str, minimum: float = -MAX_NUMBER) -> float:
+    def drive_value(drive: Any, name: str, minimum: float = -MAX_NUMBER) -> float:
         return source.read_number(getattr(drive, f"Get{name}Attr")(), minimum) or 0.0
 
-    targets = [value(drive, "TargetPosition") * position_unit for drive in drives]
+    targets = [drive_value(drive, "TargetPosition") * position_unit for drive in drives]
     max_force = source.read_number_or_infinity(drives[0].GetMaxForceAttr())
-    velocities = [value(drive, "TargetVelocity") for drive in drives]
+    velocities = [drive_value(drive, "TargetVelocity") for drive in drives]
     is_ball = kind == "ball"
     if is_ball and any(velocities):
         source.add_notice(
             prim, "has a drive with a target velocity, which is not supported"
         )
     return JointDrive(
-        value(drives[0], "Stiffness", 0.0) * gain_unit,
-        value(drives[0], "Damping", 0.0) * gain_unit,
+        drive_value(drives[0], "Stiffness", 0.0) * gain_unit,
+        drive_value(drives[0], "Damping", 0.0) * gain_unit,
         0.0 if is_ball else targets[0],
         so3.exp(np.array(targets)) if is_ball else so3.IDENTITY.copy(),
         max_force * force_unit

@@ -61,7 +61,7 @@ def read_shapes(
         and type_name in SYMMETRIC_TYPES
     ):
         source.add_notice(prim, "has a non-uniform scale: using the largest")
-    values = {
+    dimensions = {
         name: _attribute_value(prim, name) for name in ("radius", "height", "size")
     }
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
@@ -69,16 +69,19 @@ def read_shapes(
     is_hull = False
     match type_name:
         case "Sphere":
-            shape_kind, sizes = "sphere", (values["radius"] * scale_unit,)
+            shape_kind, sizes = "sphere", (dimensions["radius"] * scale_unit,)
         case "Capsule":
             shape_kind = "capsule"
-            sizes = (values["radius"] * scale_unit, values["height"] * scale_unit)
+            sizes = (
+                dimensions["radius"] * scale_unit,
+                dimensions["height"] * scale_unit,
+            )
         case "Cube":
             scaled_sides = [
                 side * source.meters_per_unit for side in np.abs(scale).tolist()
             ]
             shape_kind = "box"
-            sizes = tuple(side * values["size"] for side in scaled_sides)
+            sizes = tuple(side * dimensions["size"] for side in scaled_sides)
         case "Plane" if is_static:
             shape_kind = "plane"
         case "Mesh":
@@ -161,14 +164,14 @@ def _read_friction_and_restitution(
     api = UsdPhysics.MaterialAPI(material.GetPrim())
     friction = source.read_number(api.GetDynamicFrictionAttr()) or 0.0
     restitution = source.read_number(api.GetRestitutionAttr()) or 0.0
-    used_values = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
-    if used_values != (friction, restitution):
+    clamped_values = max(friction, 0.0), min(max(restitution, 0.0), 1.0)
+    if clamped_values != (friction, restitution):
         message = (
             f"has friction {friction:g} and restitution {restitution:g}: "
-            f"using {used_values[0]:g} and {used_values[1]:g}"
+            f"using {clamped_values[0]:g} and {clamped_values[1]:g}"
         )
         source.add_notice(material.GetPrim(), message)
-    return used_values
+    return clamped_values
 
 
 # Maximum number of prims that are read, to limit memory.
@@ -301,7 +304,7 @@ def _kinematic_poses(
     source: PhysicsStage, prim: Any
 ) -> tuple[FloatArray, FloatArray | None]:
     """Return times [s] and poses of a kinematic body; no times if it is static."""
-    sample_codes, rows = transform_times(prim), []
+    sample_codes, poses = transform_times(prim), []
     if len(sample_codes) < 2:
         return np.zeros(1), None
     if not max(abs(sample_codes[0]), abs(sample_codes[-1])) <= MAX_NUMBER:
@@ -310,26 +313,28 @@ def _kinematic_poses(
         source.fail(prim, message, hint)
     for code in sample_codes:
         source.cache.SetTime(Usd.TimeCode(code))
-        rows.append(source.to_y_up(source.pose_and_scale(source.world_matrix(prim))[0]))
+        poses.append(
+            source.to_y_up(source.pose_and_scale(source.world_matrix(prim))[0])
+        )
     source.cache.SetTime(Usd.TimeCode(source.start_code))
     rate = float(source.stage.GetTimeCodesPerSecond())
-    return (np.array(sample_codes) - source.start_code) / rate, np.array(rows)
+    return (np.array(sample_codes) - source.start_code) / rate, np.array(poses)
 
 
 def _read_mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, Any]:
     """Return the authored mass properties; the shapes determine those not authored."""
     api = UsdPhysics.MassAPI(prim)
-    values: dict[str, Any] = {}
+    mass_properties: dict[str, Any] = {}
     if not prim.HasAPI(UsdPhysics.MassAPI):
         return {}
     density = source.read_number(api.GetDensityAttr(), 0.0)
     mass = source.read_number(api.GetMassAttr(), 0.0)
     if density:
-        values["density"] = (
+        mass_properties["density"] = (
             density * source.kilograms_per_unit / source.meters_per_unit**3
         )
     if mass:
-        values["mass"] = mass * source.kilograms_per_unit
+        mass_properties["mass"] = mass * source.kilograms_per_unit
     centre_attr = api.GetCenterOfMassAttr()
     # In the schema, -inf means not authored.
     centre_value = np.array(centre_attr.Get())
@@ -337,13 +342,13 @@ def _read_mass(source: PhysicsStage, prim: Any, scale: FloatArray) -> dict[str, 
     if centre_value.dtype.kind != "f" or not np.isneginf(centre_value).all():
         centre_local = source.read_numbers(centre_attr, 3)
     if centre_local is not None:
-        values["centre"] = centre_local * scale * source.meters_per_unit
+        mass_properties["centre"] = centre_local * scale * source.meters_per_unit
     inertia = source.read_numbers(api.GetDiagonalInertiaAttr(), 3, 0.0)
     if inertia is not None and inertia.any():
-        values["inertia"] = (
+        mass_properties["inertia"] = (
             inertia * source.kilograms_per_unit * source.meters_per_unit**2
         )
         axes = source.read_numbers(api.GetPrincipalAxesAttr(), 4)
         if axes is not None and axes.any():
-            values["axes"] = so3.normalize(axes)
-    return values
+            mass_properties["axes"] = so3.normalize(axes)
+    return mass_properties

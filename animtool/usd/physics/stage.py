@@ -75,18 +75,18 @@ class PhysicsStage:
             return None
         if hasattr(value, "imaginary"):
             value = (*value.imaginary, value.real)
-        row = np.array(value).reshape(-1)
-        if row.shape != (count,) or row.dtype.kind not in "fiu":
+        numbers = np.array(value).reshape(-1)
+        if numbers.shape != (count,) or numbers.dtype.kind not in "fiu":
             message = f"has {excerpt(str(value))} instead of {counted(count, 'number')}"
             self.fail(attribute, message)
-        row = row.astype(np.float64)
-        out_of_range = row[~((row >= minimum) & (row <= MAX_NUMBER))]
+        numbers = numbers.astype(np.float64)
+        out_of_range = numbers[~((numbers >= minimum) & (numbers <= MAX_NUMBER))]
         if len(out_of_range):
             message = (
                 f"has {out_of_range[0]:g}: it must be {minimum:g} to {MAX_NUMBER:g}"
             )
             self.fail(attribute, message)
-        return row
+        return numbers
 
     def read_number(self, attribute: Any, minimum: float = -MAX_NUMBER) -> float | None:
         """Return the number of an attribute; None if absent."""

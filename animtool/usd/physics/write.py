@@ -116,9 +116,9 @@ class PhysicsWriter:
         attribute_spec(spec, name, _TYPES.Float, value)
 
     def _author_vector(
-        self, spec: Any, name: str, metres: FloatArray, kind: Any
+        self, spec: Any, name: str, metres: FloatArray, value_type: Any
     ) -> None:
-        attribute_spec(spec, name, kind, gf_vec3f(metres / self._unit))
+        attribute_spec(spec, name, value_type, gf_vec3f(metres / self._unit))
 
     def _write_body(self, path: str, body: PhysicsBody) -> None:
         spec = self._layer.GetPrimAtPath(path)
@@ -159,10 +159,10 @@ class PhysicsWriter:
             spec, [*schemas, *(["PhysicsMeshCollisionAPI"] if is_mesh else [])]
         )
         attribute_spec(spec, "purpose", _TYPES.Token, "guide", is_uniform=True)
-        pose, names = shape.pose, ["xformOp:translate", "xformOp:orient"]
+        pose, op_names = shape.pose, ["xformOp:translate", "xformOp:orient"]
         translation = gf_vector(pose[:3] / self._unit)
-        attribute_spec(spec, names[0], _TYPES.Double3, translation)
-        attribute_spec(spec, names[1], _TYPES.Quatd, gf_quaternion(pose[3:]))
+        attribute_spec(spec, op_names[0], _TYPES.Double3, translation)
+        attribute_spec(spec, op_names[1], _TYPES.Quatd, gf_quaternion(pose[3:]))
         sizes = [size / self._unit for size in shape.size]
         match shape.kind:
             case "sphere":
@@ -173,16 +173,16 @@ class PhysicsWriter:
                 attribute_spec(spec, "height", _TYPES.Double, sizes[1])
             case "box":
                 attribute_spec(spec, "size", _TYPES.Double, 1.0)
-                names.append("xformOp:scale")
-                attribute_spec(spec, names[2], _TYPES.Float3, Gf.Vec3f(*sizes))
+                op_names.append("xformOp:scale")
+                attribute_spec(spec, op_names[2], _TYPES.Float3, Gf.Vec3f(*sizes))
             case "plane":
                 attribute_spec(spec, "axis", _TYPES.Token, "Y", is_uniform=True)
             case "mesh":
                 self._write_mesh(spec, shape, approximation)
-        author_xform_order(spec, *names)
-        binding = "material:binding:physics"
+        author_xform_order(spec, *op_names)
+        binding_name = "material:binding:physics"
         author_relationship(
-            spec, binding, self._material_path(shape.friction, shape.restitution)
+            spec, binding_name, self._material_path(shape.friction, shape.restitution)
         )
 
     def _write_mesh(self, spec: Any, shape: PhysicsShape, approximation: str) -> None:
@@ -222,12 +222,12 @@ class PhysicsWriter:
         for k, (body_index, frame) in enumerate(
             zip(joint.bodies, joint.frames, strict=True)
         ):
-            body = (
+            body_path = (
                 self._root
                 if body_index < 0
                 else f"{self._root}/{self._xform_names[body_index]}"
             )
-            author_relationship(spec, f"physics:body{k}", body)
+            author_relationship(spec, f"physics:body{k}", body_path)
             self._author_vector(spec, f"physics:localPos{k}", frame[:3], _TYPES.Point3f)
             attribute_spec(
                 spec, f"physics:localRot{k}", _TYPES.Quatf, gf_quatf(frame[3:])
@@ -256,18 +256,20 @@ class PhysicsWriter:
     def _write_drive(self, spec: Any, kind: str, drive: JointDrive) -> list[str]:
         """Write a drive; return the schemas to apply."""
         if kind == "prismatic":
-            axes = {"linear": drive.target}
+            targets_by_axis = {"linear": drive.target}
             position_unit = 1 / self._unit
             gain_unit = 1.0
             force_unit = 1 / self._unit
         else:
             force_unit = 1 / self._unit**2
             position_unit, gain_unit = math.degrees(1.0), force_unit * math.radians(1.0)
-            axes = {"angular": drive.target}
+            targets_by_axis = {"angular": drive.target}
             if kind == "ball":
                 rotation = so3.log(drive.rotation).tolist()
-                axes = dict(zip(("rotX", "rotY", "rotZ"), rotation, strict=True))
-        for axis, target in axes.items():
+                targets_by_axis = dict(
+                    zip(("rotX", "rotY", "rotZ"), rotation, strict=True)
+                )
+        for axis, target in targets_by_axis.items():
             name = f"drive:{axis}:physics"
             attribute_spec(spec, f"{name}:type", _TYPES.Token, "force", is_uniform=True)
             self._author_number(spec, f"{name}:targetPosition", target * position_unit)
@@ -280,4 +282,4 @@ class PhysicsWriter:
                 self._author_number(
                     spec, f"{name}:maxForce", drive.max_force * force_unit
                 )
-        return [f"PhysicsDriveAPI:{axis}" for axis in axes]
+        return [f"PhysicsDriveAPI:{axis}" for axis in targets_by_axis]

@@ -127,7 +127,7 @@ class CharactersWriter:
 
 
 def _author_cast(layer: Any, cast: Cast, paths: RigPaths, unit: float) -> None:
-    """Write a rig, and the animation that standing characters share."""
+    """Write the rig of a cast as a prototype, with its meshes or bones."""
     rig = cast.rig
     names = joint_names(rig.joints, 0)
     author_rig(layer, rig, names, paths, unit)
@@ -275,12 +275,12 @@ class _CharacterGroup:
     def _find_standing(self) -> BoolArray:
         """Return which characters stand still and can share an animation ``(n,)``."""
         track = self.track
-        is_static = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
-        is_static &= np.ptp(track.points, axis=0).max(axis=-1) <= POSITION_TOLERANCE
-        is_static &= np.ptp(track.headings, axis=0) <= HEADING_TOLERANCE
+        is_standing = np.isfinite(track.clocks).all(axis=0) & track.visible.all(axis=0)
+        is_standing &= np.ptp(track.points, axis=0).max(axis=-1) <= POSITION_TOLERANCE
+        is_standing &= np.ptp(track.headings, axis=0) <= HEADING_TOLERANCE
         # On uneven ground each leg has its own pose.
         cast = track.cast
-        for i in np.flatnonzero(is_static).tolist():
+        for i in np.flatnonzero(is_standing).tolist():
             (standing_rotations,) = _standing_values(
                 cast, cast.rotations, track.clocks[:1, i]
             )
@@ -288,11 +288,11 @@ class _CharacterGroup:
                 np.abs((standing_rotations * track.rotations[0, i]).sum(axis=-1))
                 > 1 - 1e-6
             )
-            is_static[i] = bool(is_standing_pose.all())
-        return np.asarray(is_static & (is_static.sum() > 1))
+            is_standing[i] = bool(is_standing_pose.all())
+        return np.asarray(is_standing & (is_standing.sum() > 1))
 
     def _author_root(
-        self, path: str, i: int, foot_correction: FloatArray | None
+        self, path: str, character_index: int, foot_correction: FloatArray | None
     ) -> None:
         """Write the root transform of a character, and its rig reference.
 
@@ -304,15 +304,18 @@ class _CharacterGroup:
         motion = np.zeros((len(track.codes), 3))
         if foot_correction is not None:
             rest = track.cast.rig.rest_translations[0]
-            motion = track.roots[:, i] - rest + foot_correction
-        half_angles = track.headings[:, i] / 2
+            motion = track.roots[:, character_index] - rest + foot_correction
+        half_angles = track.headings[:, character_index] / 2
         heading_rotations = np.zeros((len(half_angles), 4))
         heading_rotations[:, 1] = np.sin(half_angles)
         heading_rotations[:, 3] = np.cos(half_angles)
         hip_offset = so3.rotate(
-            self.up_rotation, so3.rotate(heading_rotations, motion * track.scales[i])
+            self.up_rotation,
+            so3.rotate(heading_rotations, motion * track.scales[character_index]),
         )
-        positions = ((track.points[:, i] + hip_offset) / unit).astype(np.float32)
+        positions = ((track.points[:, character_index] + hip_offset) / unit).astype(
+            np.float32
+        )
         op_names = ["xformOp:translate"]
         translate = attribute_spec(spec, "xformOp:translate", _TYPES.Float3)
         changed_frames = _changing_frames(positions, POSITION_TOLERANCE / unit)
@@ -328,7 +331,7 @@ class _CharacterGroup:
             )
             op_names.append("xformOp:orient")
         rotate = attribute_spec(spec, "xformOp:rotateY", _TYPES.Float)
-        degrees = np.degrees(track.headings[:, i]).astype(np.float32)
+        degrees = np.degrees(track.headings[:, character_index]).astype(np.float32)
         changed_frames = _changing_frames(
             degrees[:, None], np.degrees(HEADING_TOLERANCE)
         )
@@ -336,12 +339,12 @@ class _CharacterGroup:
             rotate, track.codes, changed_frames, degrees[changed_frames].tolist()
         )
         op_names.append("xformOp:rotateY")
-        if track.scales[i] != 1:
-            scale = Gf.Vec3f(*[float(track.scales[i])] * 3)
+        if track.scales[character_index] != 1:
+            scale = Gf.Vec3f(*[float(track.scales[character_index])] * 3)
             attribute_spec(spec, "xformOp:scale", _TYPES.Float3, scale)
             op_names.append("xformOp:scale")
         author_xform_order(spec, *op_names)
-        is_visible = track.visible[:, i]
+        is_visible = track.visible[:, character_index]
         if not is_visible.all():
             visibility = attribute_spec(spec, "visibility", _TYPES.Token)
             changed_frames = np.flatnonzero(
@@ -394,13 +397,13 @@ class _CharacterGroup:
         attribute_spec(spec, "scales", _TYPES.Half3Array, unit_scales)
         return spec
 
-    def _reference_shared(self, path: str, i: int) -> None:
+    def _reference_shared(self, path: str, character_index: int) -> None:
         """Bind a character to the shared standing animation, with a time offset."""
         track, fps = self.track, self.owner.fps
         shared_root = f"{self.paths.model}/{STANDING_SCOPE}"
         if self.layer.GetPrimAtPath(shared_root) is None:
             self._write_shared(shared_root)
-        clock = float(track.clocks[0, i]) % max(track.cast.period, 1e-9)
+        clock = float(track.clocks[0, character_index]) % max(track.cast.period, 1e-9)
         offset = float(track.codes[0]) - clock * fps
         spec = prim_spec(self.layer, f"{path}/Anim", "SkelAnimation")
         spec.referenceList.explicitItems = [
@@ -416,23 +419,23 @@ class _CharacterGroup:
         duration = (
             codes[-1] - codes[0] + cast.period * fps if len(cast.rotations) > 1 else 0.0
         )
-        rows = np.arange(int(np.ceil(duration)) + 1)
-        clocks = rows / fps
+        frames = np.arange(int(np.ceil(duration)) + 1)
+        clocks = frames / fps
         rotations = _align_signs(
             _standing_values(cast, cast.rotations, clocks).astype(np.float32)
         )
         arrays = _vt_arrays(Vt.QuatfArray, rotations)
-        codes = rows.astype(np.float64)
-        write_samples(spec.attributes["rotations"], codes, rows, arrays)
+        codes = frames.astype(np.float64)
+        write_samples(spec.attributes["rotations"], codes, frames, arrays)
         translations = np.repeat(
-            cast.rig.rest_translations[None, cast.animated], len(rows), 0
+            cast.rig.rest_translations[None, cast.animated], len(frames), 0
         )
         translations[:, cast.animated == 0] = _standing_values(
             cast, cast.roots, clocks
         )[:, None]
         positions = (translations / self.owner.unit).astype(np.float32)
         arrays = _vt_arrays(Vt.Vec3fArray, positions)
-        write_samples(spec.attributes["translations"], codes, rows, arrays)
+        write_samples(spec.attributes["translations"], codes, frames, arrays)
 
 
 def _vt_arrays(array_type: Any, values: Float32Array) -> list[Any]:
@@ -443,9 +446,9 @@ def _vt_arrays(array_type: Any, values: Float32Array) -> list[Any]:
 def _standing_values(cast: Cast, samples: FloatArray, clocks: FloatArray) -> FloatArray:
     """Interpolate standing rotations or positions at clock times ``(K,)`` [s]."""
     count = len(samples)
-    position = clocks / (cast.period or 1.0) * count
-    index = np.floor(position).astype(np.int64)
-    fraction = position - index
+    sample_position = clocks / (cast.period or 1.0) * count
+    index = np.floor(sample_position).astype(np.int64)
+    fraction = sample_position - index
     before, after = samples[index % count], samples[(index + 1) % count]
     if samples.ndim == 2:
         return np.asarray(before + fraction[:, None] * (after - before))

@@ -235,10 +235,10 @@ def _attribute_type(attribute: Any) -> Attribute:
 
 def _stage_span(stage: Any, keys: FloatArray) -> tuple[Fraction, Fraction]:
     """Return the first and last time code of the stage's range and a prim's keys."""
-    key_range = keys[[0, -1]].tolist() if len(keys) else []
-    if stage.HasAuthoredTimeCodeRange() or not key_range:
-        key_range += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
-    return time_fraction(min(key_range)), time_fraction(max(key_range))
+    codes = keys[[0, -1]].tolist() if len(keys) else []
+    if stage.HasAuthoredTimeCodeRange() or not codes:
+        codes += [stage.GetStartTimeCode(), stage.GetEndTimeCode()]
+    return time_fraction(min(codes)), time_fraction(max(codes))
 
 
 @dataclass(slots=True)
@@ -316,13 +316,14 @@ class _PrimSampler:
                 ) <= SCALE_ROUNDING * np.abs(self.constant_scales)
                 scales = np.where(is_constant, self.constant_scales, scales)
         transforms = Transforms(
-            positions, rotations, scales, matrices, self._values(codes)
+            positions, rotations, scales, matrices, self._attribute_values(codes)
         )
         if not self.is_animated:
             return _repeat_transforms(transforms, len(times))
-        return replace(transforms, is_clamped=self._find_clamped(codes))
+        return replace(transforms, is_clamped=self._clamped_mask(codes))
 
-    def _find_clamped(self, codes: FloatArray) -> BoolArray | None:
+    def _clamped_mask(self, codes: FloatArray) -> BoolArray | None:
+        """Return which time codes are outside the range (values are held), or None."""
         first, last = map(float, _stage_span(self.stage, self.keys))
         # A frame, with its shutter interval, lasts until just before the next frame.
         frame_length = 1 - KEY_TOLERANCE
@@ -340,7 +341,7 @@ class _PrimSampler:
             times = np.where(is_on_key, self.keys[key_index], times)
         return times
 
-    def _values(self, codes: FloatArray) -> tuple[Any, ...]:
+    def _attribute_values(self, codes: FloatArray) -> tuple[Any, ...]:
         all_values: list[Any] = []
         for attribute, attribute_type in zip(
             self.attributes, self.attribute_types, strict=True

@@ -362,7 +362,7 @@ def write_simulated_chunks(
     reports = [writer.report for writer in prims]
 
     @contextmanager
-    def open_chunk(path: Path, number: int) -> Iterator[Sequence[PointWriter]]:
+    def open_chunk(path: Path, chunk_index: int) -> Iterator[Sequence[PointWriter]]:
         with (
             replacement_path(path) as temporary_path,
             open_growing_crate(temporary_path, path) as chunk_layer,
@@ -373,7 +373,7 @@ def write_simulated_chunks(
                     chunk_layer.layer,
                     report,
                     writes_every_frame=True,
-                    with_default=number == 0,
+                    with_default=chunk_index == 0,
                     on_added=chunk_layer.count_bytes,
                 )
                 for report in reports
@@ -448,11 +448,13 @@ def _author_placement(
     author_xform_order(spec, "xformOp:transform")
 
 
-def _declare_attributes(layer: Any, reports: Sequence[CachedMesh], source: Any) -> None:
+def _declare_attributes(
+    layer: Any, reports: Sequence[CachedMesh], source_layer: Any
+) -> None:
     """Declare the sampled attributes with the types they have in a source layer."""
     for report in reports:
         prim_spec(layer, report.path, is_over=True)
         for name in report.sampled:
             path, leaf = split_attribute(report.path, name)
-            kind = source.GetPrimAtPath(path).attributes[leaf].typeName
+            kind = source_layer.GetPrimAtPath(path).attributes[leaf].typeName
             attribute_spec(prim_spec(layer, path, is_over=True), leaf, kind)

@@ -55,8 +55,8 @@ class RotationChain:
         self,
         rotations: FloatArray,
         is_planted: BoolArray,
-        begins: IntArray,
-        span: int,
+        start_frames: IntArray,
+        span_length: int,
     ) -> tuple[BoolArray, FloatArray]:
         """Return which spans slerp fits within tolerance, and their joint offsets."""
         tolerances = (
@@ -65,8 +65,8 @@ class RotationChain:
         )
         return _kernels.fitting_spans(
             rotations, self.parents, self.rotation_indices, self.positions,
-            self.parent_rotations, self.rest_rotations, self.feet, is_planted, begins,
-            span, *tolerances,
+            self.parent_rotations, self.rest_rotations, self.feet, is_planted,
+            start_frames, span_length, *tolerances,
         )  # fmt: skip
 
 
@@ -85,18 +85,20 @@ def select_samples(
         is_planted: Whether each foot is on or near the ground ``(F, 2)``.
     """
     exact_rotations = rotations.astype(np.float64)
-    count = len(rotations)
-    offsets = np.zeros((count, 3))
+    frame_count = len(rotations)
+    offsets = np.zeros((frame_count, 3))
     checked_spans: dict[int, tuple[IntArray, FloatArray]] = {}
-    valid_spans = {1: np.ones(count, np.bool_)}
+    valid_spans = {1: np.ones(frame_count, np.bool_)}
     for span, sub_spans in SPAN_SPLITS.items():
-        is_candidate = np.ones(max(count - span, 0), np.bool_)
-        start = 0
+        is_candidate = np.ones(max(frame_count - span, 0), np.bool_)
+        span_offset = 0
         for length in sub_spans:
-            is_candidate &= valid_spans[length][start : start + len(is_candidate)]
-            start += length
+            is_candidate &= valid_spans[length][
+                span_offset : span_offset + len(is_candidate)
+            ]
+            span_offset += length
         candidate_frames = np.flatnonzero(is_candidate)
-        valid_spans[span] = np.zeros(count, np.bool_)
+        valid_spans[span] = np.zeros(frame_count, np.bool_)
         if len(candidate_frames):
             is_valid, span_offsets = chain.find_valid_spans(
                 exact_rotations, is_planted, candidate_frames, span
@@ -117,24 +119,24 @@ def select_samples(
 
 def _shortest_path(spans_by_length: dict[int, BoolArray]) -> BoolArray:
     """Return a mask of the fewest frames that valid spans connect, first to last."""
-    count = len(spans_by_length[1])
-    next_steps, sample_counts = [1] * count, [0] * count
+    frame_count = len(spans_by_length[1])
+    next_steps, sample_counts = [1] * frame_count, [0] * frame_count
     valid_spans = {
         span: is_valid.tolist() for span, is_valid in spans_by_length.items()
     }
-    for frame in range(count - 2, -1, -1):
-        fewest_samples = count
+    for frame in range(frame_count - 2, -1, -1):
+        fewest_samples = frame_count
         for span, is_valid in valid_spans.items():
             if (
                 is_valid[frame]
-                and frame + span < count
+                and frame + span < frame_count
                 and sample_counts[frame + span] < fewest_samples
             ):
                 fewest_samples, next_steps[frame] = sample_counts[frame + span], span
         sample_counts[frame] = fewest_samples + 1
-    is_selected = np.zeros(count, bool)
+    is_selected = np.zeros(frame_count, bool)
     frame = 0
-    while frame < count:
+    while frame < frame_count:
         is_selected[frame] = True
         frame += next_steps[frame]
     return is_selected

@@ -54,13 +54,13 @@ class PropSamples:
     # Time codes of the recorded frames, one array per block.
     codes: list[FloatArray] = field(default_factory=list)
     # Time of each track at these frames ``(F, N)``, one array per block.
-    times: list[FloatArray] = field(default_factory=list)
+    track_times: list[FloatArray] = field(default_factory=list)
 
     def record(self, codes: FloatArray, motion: Motion) -> None:
         """Record the time codes and track times of a block."""
         assert motion.track_times is not None
         self.codes.append(codes)
-        self.times.append(motion.track_times.dense()[..., 0])
+        self.track_times.append(motion.track_times.dense()[..., 0])
 
 
 # Converts a row of values to a USD value.
@@ -68,7 +68,7 @@ _ConvertRow: TypeAlias = Callable[[Any], Any]
 
 
 def prop_paths(tracks: Sequence[Track], model: str) -> list[str]:
-    """Return the prim paths of tracks on a stage with a character at a path."""
+    """Return the stage paths of tracks; relative ones begin at the path ``model``."""
     return [
         track.path if track.path.startswith("/") else f"{model}/{track.path}"
         for track in tracks
@@ -106,9 +106,11 @@ def check_props(
         raise OptionError(faults)
 
 
-def paths_overlap(first: str, second: str) -> bool:
+def paths_overlap(first_path: str, second_path: str) -> bool:
     """Return whether one path contains the other."""
-    return is_same_or_below(first, second) or is_same_or_below(second, first)
+    return is_same_or_below(first_path, second_path) or is_same_or_below(
+        second_path, first_path
+    )
 
 
 def author_props(
@@ -124,7 +126,10 @@ def author_props(
     Returns the prim paths, and notices about their frames.
     """
     paths = prop_paths(samples.tracks, placements.model)
-    codes, track_times = np.concatenate(samples.codes), np.concatenate(samples.times)
+    codes, track_times = (
+        np.concatenate(samples.codes),
+        np.concatenate(samples.track_times),
+    )
     notices: list[Fault] = []
     for i, (track, path) in enumerate(zip(samples.tracks, paths, strict=True)):
         _define_ancestors(layer, path, placements)
@@ -166,12 +171,16 @@ def _clamped_notice(
 def _define_ancestors(layer: Any, path: str, placements: PropPlacements) -> None:
     """Define the ancestor prims that no other layer defines."""
     for ancestor in list(Sdf.Path(path).GetAncestorsRange())[1:]:
-        text = str(ancestor)
-        if ancestor.IsAbsoluteRootPath() or is_same_or_below(placements.model, text):
+        ancestor_path = str(ancestor)
+        if ancestor.IsAbsoluteRootPath() or is_same_or_below(
+            placements.model, ancestor_path
+        ):
             continue
-        spec = placements.layer_path(text)
-        if layer.GetPrimAtPath(spec) is None and not placements.has_prim(text):
-            prim_spec(layer, spec, "Xform")
+        layer_path = placements.layer_path(ancestor_path)
+        if layer.GetPrimAtPath(layer_path) is None and not placements.has_prim(
+            ancestor_path
+        ):
+            prim_spec(layer, layer_path, "Xform")
 
 
 def _author_track(
@@ -362,7 +371,7 @@ class XformsEncoder(FrameEncoder[TransformsFrame]):
 def _instance_transform(
     frame: TransformsFrame, i: int, unit: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return translation, in a unit [m], and rotation of an instance."""
+    """Return an instance's translation, in units of ``unit`` [m], and its rotation."""
     return frame.points[i] / unit, frame.rotations[i]
 
 

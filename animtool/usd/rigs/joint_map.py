@@ -74,7 +74,7 @@ class RigJointMap:
 
 
 def map_joints(
-    take: Rig,
+    take_rig: Rig,
     target: RigTarget,
     strip_namespaces: int,
     *,
@@ -87,19 +87,21 @@ def map_joints(
     space already.
     """
     skeleton, location = target.skeleton, str(target.path)
-    source_joints = _match_joints(take, target, strip_namespaces)
-    unmatched_notices = _unmatched_notices(take, target, source_joints)
+    source_joints = _match_joints(take_rig, target, strip_namespaces)
+    unmatched_notices = _unmatched_notices(take_rig, target, source_joints)
     shapes, shape_notices = match_shapes(
-        target, [shape.name for shape in take.shapes], _usd_shape_names(take.shapes)
+        target,
+        [shape.name for shape in take_rig.shapes],
+        _usd_shape_names(take_rig.shapes),
     )
     fit: RigFit | None = None
     fit_notices: list[Fault] = []
-    if take.joints and skeleton.rig.joints:
+    if take_rig.joints and skeleton.rig.joints:
         rig = skeleton.rig
         if converted_take is not None:
             rig = transform_rig(skeleton.rig, converted_take.upright_placement)
         fit, fit_notices = check_fit(
-            at_origin(take),
+            at_origin(take_rig),
             rig,
             source_joints,
             location,
@@ -114,20 +116,22 @@ def map_joints(
         shapes,
         fit,
         None if converted_take is None else converted_take.rig_from_take,
-        np.array(take.roots, np.int64),
+        np.array(take_rig.roots, np.int64),
         1.0 if converted_take is None else converted_take.upright_placement.size,
     )
 
 
-def _match_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> IntArray:
+def _match_joints(take_rig: Rig, target: RigTarget, strip_namespaces: int) -> IntArray:
     """Return the index of the take's joint by target joint ``(J,)``, -1 for none."""
-    names = joint_names(take.joints, strip_namespaces)
-    legal_names = [legal_name(joint.source_name or joint.name) for joint in take.joints]
+    names = joint_names(take_rig.joints, strip_namespaces)
+    legal_names = [
+        legal_name(joint.source_name or joint.name) for joint in take_rig.joints
+    ]
     joints_by_key: dict[str, list[int]] = {}
-    for paths in (take.paths(legal_names), take.paths(names.names)):
+    for paths in (take_rig.paths(legal_names), take_rig.paths(names.names)):
         for i, path in enumerate(paths):
             joints_by_key.setdefault(f"/{path}", []).append(i)
-    for i, (joint, name) in enumerate(zip(take.joints, names.names, strict=True)):
+    for i, (joint, name) in enumerate(zip(take_rig.joints, names.names, strict=True)):
         for key in (joint.source_name or joint.name, joint.name, name):
             joints_by_key.setdefault(key, []).append(i)
     source_joints: list[int] = []
@@ -147,15 +151,15 @@ def _match_joints(take: Rig, target: RigTarget, strip_namespaces: int) -> IntArr
 
 
 def _unmatched_notices(
-    take: Rig, target: RigTarget, source_joints: IntArray
+    take_rig: Rig, target: RigTarget, source_joints: IntArray
 ) -> list[Fault]:
     """Return notices about joints that the take or the target lacks."""
     used_joints, location = set(source_joints.tolist()), str(target.path)
     missing_names = [
-        joint.name for i, joint in enumerate(take.joints) if i not in used_joints
+        joint.name for i, joint in enumerate(take_rig.joints) if i not in used_joints
     ]
-    if len(missing_names) == len(take.joints):
-        _check_shapes(take, target)
+    if len(missing_names) == len(take_rig.joints):
+        _check_shapes(take_rig, target)
     names = target.skeleton.rig.names
     unmapped_names = [names[j] for j in np.flatnonzero(source_joints < 0).tolist()]
     message = f"{len(missing_names)} joints of the take are not in the rig: "
@@ -181,26 +185,26 @@ def _names_notice(
     return [names_fault(code, message, names, path, hint, severity)] if names else []
 
 
-def _check_shapes(take: Rig, target: RigTarget) -> None:
+def _check_shapes(take_rig: Rig, target: RigTarget) -> None:
     """Refuse a take that shares neither joints nor shapes with a rig."""
     rig, target_shapes = target.skeleton.rig, _rig_shapes(target)
-    names = [shape.name for shape in take.shapes]
+    names = [shape.name for shape in take_rig.shapes]
     has_common_shape = target_shapes is None or {arkit_name(n) or n for n in names} & {
         arkit_name(n) or n for n in target_shapes
     }
-    if names and has_common_shape and not (take.joints and rig.joints):
+    if names and has_common_shape and not (take_rig.joints and rig.joints):
         return
     take_joint, rig_joint = (
         f"{excerpt(each_rig.names[0])} …" if each_rig.joints else "none"
-        for each_rig in (take, rig)
+        for each_rig in (take_rig, rig)
     )
     message = f"no joint of the take ({take_joint}) is in the rig ({rig_joint})"
     hint = (
         "move the motion to that rig with animtool retarget, or choose the take's rig"
     )
-    if any(":" in name for name in take.names):
+    if any(":" in name for name in take_rig.names):
         hint = f"drop leading 'ns:' parts with {argument('strip_namespace')}, or {hint}"
-    if not (take.joints and rig.joints):
+    if not (take_rig.joints and rig.joints):
         message += ", and no mesh there has one of its shapes"
         hint = "choose the rig of the take"
     raise FormatError(Fault("USD010", message, str(target.path), (), hint))

@@ -77,17 +77,19 @@ def _author_body(
 
 
 def _author_joint(
-    layer: Any, scope: str, rig: Rig, index: int, names: Sequence[str]
+    layer: Any, scope: str, rig: Rig, joint_index: int, names: Sequence[str]
 ) -> None:
-    joint, meters_per_unit = rig.joints[index], rig.meters_per_unit
-    spec = prim_spec(layer, f"{scope}/Joints/{names[index]}", _joint_prim_type(joint))
+    joint, meters_per_unit = rig.joints[joint_index], rig.meters_per_unit
+    spec = prim_spec(
+        layer, f"{scope}/Joints/{names[joint_index]}", _joint_prim_type(joint)
+    )
     type_attr = attribute_spec(spec, "animtool:joint", _TYPES.Token, str(joint.type))
     type_attr.custom = True
     if joint.parent >= 0:
         author_relationship(
             spec, "physics:body0", f"{scope}/Bodies/{names[joint.parent]}"
         )
-    author_relationship(spec, "physics:body1", f"{scope}/Bodies/{names[index]}")
+    author_relationship(spec, "physics:body1", f"{scope}/Bodies/{names[joint_index]}")
     axis, frame = _joint_frame(joint)
     position = np.array(joint.translation) / meters_per_unit
     parent_frame = so3.multiply(np.array(joint.rotation), frame)
@@ -171,7 +173,7 @@ def author_ball_limit(
 def read_ball_limit(joint: Any, axis: tuple[float, float, float]) -> BallLimit | None:
     """Return the limits of a ball joint with a twist axis; None if unlimited."""
 
-    def limit(name: str) -> tuple[float, float] | None:
+    def axis_limits(name: str) -> tuple[float, float] | None:
         lower, upper = (
             joint.GetAttribute(f"limit:{name}:physics:{end}").Get()
             for end in ("low", "high")
@@ -195,7 +197,11 @@ def read_ball_limit(joint: Any, axis: tuple[float, float, float]) -> BallLimit |
         # An infinite limit is 180 degrees.
         swing_y, swing_z = min(swing_y, 180.0), min(swing_z, 180.0)
         return BallLimit((math.radians(swing_y), math.radians(swing_z)), None, axis)
-    twist, swing_y_limits, swing_z_limits = limit("rotX"), limit("rotY"), limit("rotZ")
+    twist, swing_y_limits, swing_z_limits = (
+        axis_limits("rotX"),
+        axis_limits("rotY"),
+        axis_limits("rotZ"),
+    )
     swing_limits = None
     if swing_y_limits is not None and swing_z_limits is not None:
         swing_limits = (swing_y_limits[1], swing_z_limits[1])
@@ -216,12 +222,14 @@ def write_rig_layer(rig: Rig, path: Path) -> tuple[int, list[Fault]]:
     """
     names = joint_names(rig.joints)
     paths = RigPaths.from_model(f"/{legal_name(rig.name)}")
-    layer, meters = new_layer(path), rig.meters_per_unit
+    layer, meters_per_unit = new_layer(path), rig.meters_per_unit
     with Sdf.ChangeBlock():
         _author_layer_metadata(layer, rig, paths)
-        author_rig(layer, rig, names, paths, meters)
+        author_rig(layer, rig, names, paths, meters_per_unit)
         tokens = dict(zip(rig.names, rig.paths(names.names), strict=True))
-        _, mesh_notices = author_meshes(layer, surfaces_of(rig), paths, tokens, meters)
+        _, mesh_notices = author_meshes(
+            layer, surfaces_of(rig), paths, tokens, meters_per_unit
+        )
         root = layer.GetPrimAtPath(paths.root)
         apply_schemas(root, ["SkelBindingAPI"])
         author_relationship(root, "skel:skeleton", paths.skeleton)

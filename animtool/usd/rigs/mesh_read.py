@@ -210,9 +210,9 @@ def _read_skin(
     names = influence_joint_names(query, rig, location)
     if len(indices) and not 0 <= indices.min() <= indices.max() < len(names):
         location.fail("USD230", f"a jointIndex is not in 0 to {len(names) - 1}")
-    shape = (point_count, influence_count)
+    array_shape = (point_count, influence_count)
     arrays = (
-        np.broadcast_to(values.reshape(row_count, influence_count), shape).copy()
+        np.broadcast_to(values.reshape(row_count, influence_count), array_shape).copy()
         for values in (indices, weights)
     )
     method = _SKIN_METHODS.get(str(query.GetSkinningMethod()), "linear")

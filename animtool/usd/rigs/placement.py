@@ -277,15 +277,17 @@ def _find_unsupported_reason(matrices: FloatArray) -> str:
     is_unsupported = is_mirrored | is_nonuniform | is_sheared
     if not is_unsupported.any():
         return ""
-    i = int(is_unsupported.argmax())
-    x, y, z = lengths[i].tolist()
-    texts = [f"is scaled by {x:.4g} x {y:.4g} x {z:.4g}"]
-    if is_sheared[i]:
-        texts.append(f"sheared by {math.degrees(math.asin(shear_cosines[i])):.3g}°")
-    if is_mirrored[i]:
-        is_singular = lengths[i].min() == 0.0
-        texts.append("flat" if is_singular else "mirrored")
-    return " and ".join(texts)
+    first_frame = int(is_unsupported.argmax())
+    x, y, z = lengths[first_frame].tolist()
+    descriptions = [f"is scaled by {x:.4g} x {y:.4g} x {z:.4g}"]
+    if is_sheared[first_frame]:
+        descriptions.append(
+            f"sheared by {math.degrees(math.asin(shear_cosines[first_frame])):.3g}°"
+        )
+    if is_mirrored[first_frame]:
+        is_singular = lengths[first_frame].min() == 0.0
+        descriptions.append("flat" if is_singular else "mirrored")
+    return " and ".join(descriptions)
 
 
 def refuse_unsupported(placement: SkeletonPlacement, location: PrimLocation) -> None:

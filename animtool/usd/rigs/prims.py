@@ -182,7 +182,7 @@ def animation_source(skeleton: Any) -> Any:
 
 
 def decompose(matrices: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Decompose row-vector matrices ``(..., 4, 4)`` into T, R, S, with M = S·R·T.
+    """Split row-vector matrices ``(..., 4, 4)``, S·R·T, into T, R (quaternion) and S.
 
     A mirror becomes a negative scale on all three axes. Shear is dropped.
     """
@@ -214,13 +214,13 @@ def skeleton_rig(skeleton: Any, path: Path, *, is_animated: bool = True) -> Skel
         skeleton.GetBindTransformsAttr(),
     )
     authored_attrs = [attr for attr in transform_attrs if attr.HasAuthoredValue()]
-    meters, up = _authored_units((authored_attrs or transform_attrs)[0], stage)
+    meters_per_unit, up = _authored_units((authored_attrs or transform_attrs)[0], stage)
     rig = rig_from_tokens(
         tokens,
         rest,
         name,
         location,
-        meters,
+        meters_per_unit,
         up,
         custom_data,
         [str(name) for name in joint_names],
@@ -246,7 +246,7 @@ def rig_from_tokens(
     custom_data: dict[str, Any],
     source_names: Sequence[str] = (),
 ) -> SkeletonRig:
-    """Return the rig of joint paths and rest transforms ``(J, 4, 4)``, file units.
+    """Return a rig with joint paths and rest transforms ``(J, 4, 4)`` in file units.
 
     Joints are named by the last component of their paths. Their source names come from
     ``custom_data``, else from ``source_names`` (the Skeleton's ``jointNames``) if
@@ -338,14 +338,14 @@ def _authored_units(attr: Any, stage: Any) -> tuple[float, UpAxis]:
     A shot in metres may reference a rig in centimetres; the numbers of the rig and its
     animations stay in centimetres.
     """
-    meters, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
+    meters_per_unit, up = UsdGeom.GetStageMetersPerUnit(stage), up_axis(stage)
     stack = attr.GetPropertyStack(Usd.TimeCode.Default())
     root = stack[0].layer.pseudoRoot if stack else None
     if root is not None and root.HasInfo("metersPerUnit"):
-        meters = float(root.GetInfo("metersPerUnit"))
+        meters_per_unit = float(root.GetInfo("metersPerUnit"))
     if root is not None and root.HasInfo("upAxis"):
         up = UpAxis(str(root.GetInfo("upAxis")))
-    return meters, up
+    return meters_per_unit, up
 
 
 def up_axis(stage: Any) -> UpAxis:

@@ -218,16 +218,18 @@ def _first_pose(animation: Any, joints: Sequence[str]) -> FloatArray | None:
     """Return the first pose of an animation of all joints, as USD matrices."""
     if animation is None or _unanimated_joints(animation, joints):
         return None
-    index = {name: i for i, name in enumerate(token_array(animation.GetJointsAttr()))}
+    index_by_joint = {
+        name: i for i, name in enumerate(token_array(animation.GetJointsAttr()))
+    }
     first_code = Usd.TimeCode.EarliestTime()
     components = []
     for attr, width in zip(
         transform_attributes(animation).values(), (3, 4, 3), strict=True
     ):
         rows = np.array(attr.Get(first_code) or (), np.float64)
-        if rows.shape != (len(index), width) or not np.isfinite(rows).all():
+        if rows.shape != (len(index_by_joint), width) or not np.isfinite(rows).all():
             return None
-        components.append(rows[[index[joint] for joint in joints]])
+        components.append(rows[[index_by_joint[joint] for joint in joints]])
     translations, rotations, scales = components
     if not np.linalg.norm(rotations, axis=1).all():
         return None

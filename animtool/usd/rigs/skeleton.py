@@ -142,9 +142,9 @@ def author_rig(
     bind = _row_matrices(bind_world[:, :3, 3] / meters_per_unit, bind_world[:, :3, :3])
     local_linear = so3.to_matrix(rig.rest_rotations)
     rest = _row_matrices(rig.rest_translations / meters_per_unit, local_linear)
-    matrices = _TYPES.Matrix4dArray
-    attribute_spec(spec, "bindTransforms", matrices, bind, is_uniform=True)
-    attribute_spec(spec, "restTransforms", matrices, rest, is_uniform=True)
+    matrix_type = _TYPES.Matrix4dArray
+    attribute_spec(spec, "bindTransforms", matrix_type, bind, is_uniform=True)
+    attribute_spec(spec, "restTransforms", matrix_type, rest, is_uniform=True)
     if any(entry.points is not None for entry in rig.attach):
         paths_by_name = dict(zip(rig.names, map(str, tokens), strict=True))
         author_strands(layer, strands_of(rig), paths, paths_by_name, meters_per_unit)
@@ -156,8 +156,8 @@ def author_rig(
         custom_data["hash"] = skeleton_hash(tokens, rest, bind)
     if extras_json := joint_extras_json(rig, names.names):
         custom_data["joints"] = extras_json
-    if names.originals:
-        custom_data["names"] = names.originals
+    if names.sources_by_legal_name:
+        custom_data["names"] = names.sources_by_legal_name
     if metadata := build_rest_metadata(rig):
         custom_data[PLACEMENT_KEY] = metadata
     if custom_data:
@@ -330,11 +330,15 @@ def author_influences(
     """
     joint_indices = np.ascontiguousarray(joints.ravel(), np.int32)
     joint_weights = np.ascontiguousarray(weights.ravel(), np.float32)
-    for name, kind, values in (
+    for name, value_type, values in (
         ("jointIndices", _TYPES.IntArray, Vt.IntArray.FromNumpy(joint_indices)),
         ("jointWeights", _TYPES.FloatArray, Vt.FloatArray.FromNumpy(joint_weights)),
     ):
         attr = attribute_spec(
-            spec, f"primvars:skel:{name}", kind, values, interpolation=interpolation
+            spec,
+            f"primvars:skel:{name}",
+            value_type,
+            values,
+            interpolation=interpolation,
         )
         attr.SetInfo("elementSize", joints.shape[1])

@@ -155,15 +155,15 @@ def influence_joint_names(
 ) -> tuple[str, ...]:
     """Return the rig joint names that a prim's joint indices refer to."""
     joint_order = query.GetJointOrder()
-    index = {token: i for i, token in enumerate(rig.tokens)}
+    index_by_token = {token: i for i, token in enumerate(rig.tokens)}
     tokens: Sequence[str] = (
         rig.tokens if joint_order is None else [str(t) for t in joint_order]
     )
-    unknown_tokens = [token for token in tokens if token not in index]
+    unknown_tokens = [token for token in tokens if token not in index_by_token]
     if unknown_tokens:
         message = f"{unknown_tokens[0]!r} is not a joint of the Skeleton"
         location.fail("USD238", message)
-    return tuple(rig.rig.names[index[token]] for token in tokens)
+    return tuple(rig.rig.names[index_by_token[token]] for token in tokens)
 
 
 def usdskel_world(path: Path, codes: FloatArray) -> WorldTransforms:

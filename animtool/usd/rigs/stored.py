@@ -142,13 +142,15 @@ def merge_rig(
         # The numbers are the same, and only their unit is another.
         merged_rig, _ = _merge_skeleton(merged_rig, usd_rig, str(path))
         notices = [resized_notice]
-    joint_names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
-    meshes = tuple(_rename_skin_joints(mesh, joint_names) for mesh in merged_rig.meshes)
+    merged_name_by_usd_name = dict(zip(usd_rig.names, merged_rig.names, strict=True))
+    meshes = tuple(
+        _rename_skin_joints(mesh, merged_name_by_usd_name) for mesh in merged_rig.meshes
+    )
     return replace(merged_rig, meshes=meshes), notices
 
 
 def _resized_notice(stored_rig: Rig, usd_rig: Rig, path: Path) -> Fault | None:
-    """Return a warning if the stage's unit differs from that the rig was written in."""
+    """Return a warning if the stage's unit is not the one the rig was written in."""
     stored_size, size = rest_size(stored_rig), rest_size(usd_rig)
     if not min(stored_size, size) > 0 or abs(size / stored_size - 1) < UNIT_TOLERANCE:
         return None
@@ -175,10 +177,10 @@ def merge_usd_attachments(
     """
     if not custom_data.get("rig"):
         return merged_rig, []
-    joint_names = dict(zip(usd_rig.names, merged_rig.names, strict=True))
+    merged_name_by_usd_name = dict(zip(usd_rig.names, merged_rig.names, strict=True))
     strands = {
         entry.name: replace(
-            entry, joints=tuple(joint_names[name] for name in entry.joints)
+            entry, joints=tuple(merged_name_by_usd_name[name] for name in entry.joints)
         )
         for entry in usd_rig.attach
     }
@@ -195,11 +197,11 @@ def merge_usd_attachments(
     return rig, [Fault("USD119", message, str(path), severity=Severity.WARNING)]
 
 
-def _rename_skin_joints(mesh: Mesh, names: dict[str, str]) -> Mesh:
+def _rename_skin_joints(mesh: Mesh, new_names: dict[str, str]) -> Mesh:
     """Return a mesh whose skin uses the rig's joint names."""
     if mesh.skin is None:
         return mesh
-    joints = tuple(names[name] for name in mesh.skin.joints)
+    joints = tuple(new_names[name] for name in mesh.skin.joints)
     return replace(mesh, skin=replace(mesh.skin, joints=joints))
 
 
@@ -222,7 +224,7 @@ def _merge_skeleton(
     stored_rig: Rig, usd_rig: Rig, file_path: str
 ) -> tuple[Rig, list[Fault]]:
     stored_joints = {joint.name: joint for joint in stored_rig.joints}
-    parents = {
+    parent_names = {
         joint.name: stored_rig.joints[joint.parent].name if joint.parent >= 0 else ""
         for joint in stored_rig.joints
     }
@@ -234,7 +236,7 @@ def _merge_skeleton(
         if stored_joint is None:
             changed_names.append(joint.name)
             joints.append(joint)
-        elif parents[stored_joint.name] == parent and _has_equal_rest(
+        elif parent_names[stored_joint.name] == parent and _has_equal_rest(
             stored_joint, joint
         ):
             joints.append(replace(stored_joint, parent=joint.parent))
@@ -297,9 +299,7 @@ def _remove_joints(rig: Rig, removed_names: list[str]) -> Rig:
         colliders=tuple(
             collider for collider in rig.colliders if collider.joint not in names
         ),
-        masses=tuple(
-            collider for collider in rig.masses if collider.joint not in names
-        ),
+        masses=tuple(mass for mass in rig.masses if mass.joint not in names),
     )
 
 
@@ -402,8 +402,8 @@ def _bind_poses(
         return {}, np.ones((len(rig.joints), 3))
     translations, rotations, scales = decompose(bind_world @ np.linalg.inv(parent_bind))
     translations = translations * rig.meters_per_unit
-    is_different = np.abs(translations - rig.rest_translations).max(axis=1)
-    is_different = is_different > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
+    distances = np.abs(translations - rig.rest_translations).max(axis=1)
+    is_different = distances > BIND_TOLERANCE * np.abs(rig.rest_translations).max()
     is_different |= so3.angle_between(rotations, rig.rest_rotations) > BIND_TOLERANCE
     poses = {
         rig.names[j]: Pose(

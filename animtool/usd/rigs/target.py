@@ -68,13 +68,13 @@ class RigTarget:
     def names(self) -> UsdNames:
         """Names of the rig's joints, and the original names that differ from USD's."""
         rig, tokens = self.skeleton.rig, self.skeleton.tokens
-        originals = {
+        sources_by_legal_name = {
             leaf: joint.source_name
             for joint, token in zip(rig.joints, tokens, strict=True)
             if (leaf := token.rpartition("/")[2]) != joint.source_name
             and joint.source_name
         }
-        return UsdNames(rig.names, originals, [])
+        return UsdNames(rig.names, sources_by_legal_name, [])
 
     def to_stage_path(self, path: str) -> str:
         """Return the path on the rig's stage of a prim in the layer."""
@@ -203,7 +203,7 @@ def _model_path(stage: Any, root: Any, prim_path: str | None) -> Any:
 
 
 def _binding_path(skeleton: Any, root: Any, model: Any) -> str:
-    """Return the prim above a Skeleton that binds an animation, or its SkelRoot.
+    """Return the path of the prim that binds a Skeleton's animation, or its SkelRoot.
 
     Bindings above the model do not count, as they are not specific to the character.
     """

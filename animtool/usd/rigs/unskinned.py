@@ -52,9 +52,9 @@ def animated_mesh_notice(
     if not distances:
         return []
     mesh_count = counted(len(distances), "mesh", "meshes")
-    largest = max(distances.values())
+    largest_distance = max(distances.values())
     message = (
-        f"transforms move {mesh_count} without a skin by up to {largest:.4g} "
+        f"transforms move {mesh_count} without a skin by up to {largest_distance:.4g} "
         f"m, but the cache does not: {listed(list(distances), MAX_LISTED_PRIMS)}"
     )
     hint = (
@@ -74,10 +74,8 @@ def _max_displacement(prim: Any, skeleton: Any, placement_choice: str | None) ->
     times = sample_times(xformables)
     if len(times) < 2:
         return 0.0
-    sample_positions = np.linspace(
-        0, len(times) - 1, min(len(times), MAX_SAMPLED_TIMES)
-    )
-    codes = np.array(times)[sample_positions.round().astype(int)]
+    sample_indices = np.linspace(0, len(times) - 1, min(len(times), MAX_SAMPLED_TIMES))
+    codes = np.array(times)[sample_indices.round().astype(int)]
     matrices = world_matrices(prim, codes)
     if placement_choice == DROP_PLACEMENT:
         matrices = matrices @ np.linalg.inv(fixed_matrices(skeleton, codes.tolist()))

@@ -77,12 +77,12 @@ def read_animation(
     attributes = _require_attributes(animation, joint_indices, location, notices)
     shapes = animated_shapes(animation)
     check_animatable(len(skeleton.rig.joints), len(shapes), location)
-    sources = [
+    sampled_objects = [
         *attributes.values(),
         *([] if prim is None else animated_ancestors(prim)),
     ]
-    sources += [animation.GetBlendShapeWeightsAttr()] if shapes else []
-    times = sample_times(sources)
+    sampled_objects += [animation.GetBlendShapeWeightsAttr()] if shapes else []
+    times = sample_times(sampled_objects)
     grid = find_sample_grid(stage, animation, times, location)
     if prim is not None and has_animated_rotation_or_scale(prim):
         grid = refine_to_frames(grid, stage, location)
@@ -92,7 +92,7 @@ def read_animation(
     notices += _grid_notices(grid, len(times), location)
     notices += _rate_notices(stage, clock, location)
     rig = skeleton.rig
-    meters = rig.meters_per_unit
+    meters_per_unit = rig.meters_per_unit
 
     def joint_values(name: str, rest: FloatArray) -> FloatArray:
         """Return an attribute of all joints; joints without values are at rest."""
@@ -108,7 +108,10 @@ def read_animation(
             )
         return fill_with_rest(rest, values, joint_indices, len(codes))
 
-    translations = joint_values("translations", rig.rest_translations / meters) * meters
+    translations = (
+        joint_values("translations", rig.rest_translations / meters_per_unit)
+        * meters_per_unit
+    )
     rotations = joint_values("rotations", rig.rest_rotations)
     scales = joint_values("scales", skeleton.rest_scales)
     rotations, length_warnings = normalize_rotations(
@@ -158,9 +161,9 @@ def _match_joints(
 ) -> tuple[IntArray, list[Fault]]:
     """Return the Skeleton joint of each animation joint (-1 for none), and warnings."""
     attr = animation.GetJointsAttr()
-    index = {token: i for i, token in enumerate(skeleton.tokens)}
+    index_by_token = {token: i for i, token in enumerate(skeleton.tokens)}
     joint_indices = np.array(
-        [index.get(token, -1) for token in token_array(attr)], np.int64
+        [index_by_token.get(token, -1) for token in token_array(attr)], np.int64
     )
     if prim is None:
         return joint_indices, []

@@ -69,7 +69,7 @@ def read_samples(
 ) -> FloatArray:
     """Return an attribute at time codes ``(F, N, K)``; F is 1 if it is constant.
 
-    Samples within ``time_tolerance`` of a frame are its samples [time codes].
+    A sample within ``time_tolerance`` [time codes] of a frame counts as that frame's.
     """
     time_codes = [Usd.TimeCode.EarliestTime()]
     if attr.GetNumTimeSamples() > 1:
@@ -280,8 +280,10 @@ def _find_grid(
 ) -> SampleGrid:
     if not times and span.last is not None:
         # Nothing moves during the take or its stage.
-        frames = min(max(0, math.floor(span.last - span.first)), MAX_GRID_FRAMES) + 1
-        return SampleGrid(span.first, Fraction(1), frames, True)
+        frame_count = (
+            min(max(0, math.floor(span.last - span.first)), MAX_GRID_FRAMES) + 1
+        )
+        return SampleGrid(span.first, Fraction(1), frame_count, True)
     if len(times) < 2:
         start = time_fraction(times[0]) if times else span.first
         return SampleGrid(start, Fraction(1), 1, True)
@@ -313,11 +315,13 @@ def _fitted_grid(times: list[float]) -> SampleGrid | None:
     gaps = gaps[gaps > MAX_TIME_OFFSET * np.quantile(gaps, 0.75, method="lower")]
     median_gap = Fraction(float(np.median(gaps)))
     mean_gap = Fraction(float(gaps.mean()))
-    steps = [
+    candidate_steps = [
         median_gap.limit_denominator(denominator) for denominator in COMMON_DENOMINATORS
     ]
-    steps.append(mean_gap.limit_denominator(FINE_STEP_DENOMINATOR))
-    grids = (_near_grid(codes, step) for step in dict.fromkeys(steps) if step > 0)
+    candidate_steps.append(mean_gap.limit_denominator(FINE_STEP_DENOMINATOR))
+    grids = (
+        _near_grid(codes, step) for step in dict.fromkeys(candidate_steps) if step > 0
+    )
     return next((grid for grid in grids if grid is not None), None)
 
 
@@ -330,12 +334,12 @@ def _near_grid(codes: FloatArray, step: Fraction) -> SampleGrid | None:
     start = Fraction(round(codes[0] * denominator), denominator)
     if abs(codes[0] - float(start)) > tolerance:
         start = time_fraction(float(codes[0]))
-    index = np.rint((codes - float(start)) / step_length)
-    distances = np.abs(codes - (float(start) + index * step_length))
-    gaps = np.diff(index)
+    step_indices = np.rint((codes - float(start)) / step_length)
+    distances = np.abs(codes - (float(start) + step_indices * step_length))
+    gaps = np.diff(step_indices)
     worst_sample = int(distances.argmax())
-    count = int(index[-1]) + 1
-    if distances[worst_sample] > tolerance or index[0] != 0:
+    count = int(step_indices[-1]) + 1
+    if distances[worst_sample] > tolerance or step_indices[0] != 0:
         return None
     if count > MAX_GRID_RATIO * len(codes):
         return None

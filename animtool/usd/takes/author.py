@@ -184,9 +184,9 @@ def _author_take(
             report.span.first,
             report.span.last,
         )
-    if job.form is LayerForm.LAYER and job.names.originals:
+    if job.form is LayerForm.LAYER and job.names.sources_by_legal_name:
         # Source names of joints, for readers that do not have the rig.
-        _author_data(animation, "names", job.names.originals)
+        _author_data(animation, "names", job.names.sources_by_legal_name)
     if take.is_reduced:
         _author_data(animation, "reduced", value=True)
     if take.rest_metadata:
@@ -410,7 +410,7 @@ def _stage_job(
         fps=clock.fps,
         meters_per_unit=rig.meters_per_unit
         if unit is None
-        else _unit_meters(unit).meters,
+        else _length_unit(unit).meters,
         show_bones=show_bones,
     )
     usd_take = UsdTake(
@@ -423,7 +423,7 @@ def _stage_job(
     return job, usd_take, [replace(notice, path=str(path)) for notice in names.notices]
 
 
-def _unit_meters(name: LengthUnit | str) -> LengthUnit:
+def _length_unit(name: LengthUnit | str) -> LengthUnit:
     try:
         return LengthUnit(name)
     except ValueError as error:
@@ -434,7 +434,7 @@ def _unit_meters(name: LengthUnit | str) -> LengthUnit:
 def _layer_job(
     take: Take, path: Path, layer: Path, prim_path: str | None, *, force_fit: bool
 ) -> tuple[UsdJob, UsdTake, list[Fault]]:
-    """Return a take converted to a rig layer, how to write it, and the notices."""
+    """Return settings, converted take and notices to write a take over a rig layer."""
     from animtool.usd.rigs.joint_map import map_joints
     from animtool.usd.rigs.target import open_target
     from animtool.usd.takes.rig_space import convert_to_rig_space

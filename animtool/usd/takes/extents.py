@@ -198,12 +198,12 @@ def _bounds_padding(job: UsdJob, stage: Any, root: Any) -> np.float32:
     animation_spec = prim_spec(collapsed_layer, job.paths.animation, is_over=True)
     types = Sdf.ValueTypeNames
     attribute_spec(animation_spec, "joints", types.TokenArray, joints, is_uniform=True)
-    for name, kind, value in (
+    for name, value_type, value in (
         ("translations", types.Float3Array, (0, 0, 0)),
         ("rotations", types.QuatfArray, Gf.Quatf.GetIdentity()),
         ("scales", types.Half3Array, (1, 1, 1)),
     ):
-        attribute_spec(animation_spec, name, kind, [value] * len(joints))
+        attribute_spec(animation_spec, name, value_type, [value] * len(joints))
     session = stage.GetSessionLayer()
     session.subLayerPaths.insert(0, collapsed_layer.identifier)
     extent = _computed_extent(root, Usd.TimeCode.Default())

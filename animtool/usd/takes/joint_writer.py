@@ -18,7 +18,7 @@ from animtool.maths import so3
 from animtool.motion.motion import Motion, TimedBlocks, split_blocks
 from animtool.rig.skeleton import Rig
 from animtool.usd.layers.finite import ValueLabels, narrow_floats
-from animtool.usd.layers.jobs import RootPath, RoundingError, WrittenBlock
+from animtool.usd.layers.jobs import RootTrajectory, RoundingError, WrittenBlock
 from animtool.usd.layers.names import RigPaths
 from animtool.usd.layers.sdf import (
     SampleWriter,
@@ -103,7 +103,7 @@ def _round_weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array 
 
 def _extract_root_motion(
     rig: Rig, translations: FloatArray, rotations: FloatArray, meters_per_unit: float
-) -> RootPath:
+) -> RootTrajectory:
     """Move the motion of the first root joint to the SkelRoot; edit joints in place.
 
     The SkelRoot's transform X and the local transforms M' of the roots satisfy X · M' =
@@ -126,7 +126,7 @@ def _extract_root_motion(
             inverse_rotations, translations[:, root] - root_translations
         )
         rotations[:, root] = so3.multiply(inverse_rotations, rotations[:, root])
-    return RootPath(root_translations, root_rotations)
+    return RootTrajectory(root_translations, root_rotations)
 
 
 _TRANSFORM_ATTRIBUTES = {
@@ -178,7 +178,7 @@ class AnimationWriter:
             }
         self._weight_writer: SampleWriter | None = None
         self._extents: list[Float32Array] = []
-        self._root_paths: list[RootPath] = []
+        self._root_trajectories: list[RootTrajectory] = []
 
     def add(self, block: WrittenBlock) -> None:
         """Write a block of frames of the animation."""
@@ -198,7 +198,7 @@ class AnimationWriter:
         self.codes.append(block.codes)
         self._extents.append(block.extents)
         if block.root is not None:
-            self._root_paths.append(block.root)
+            self._root_trajectories.append(block.root)
 
     @property
     def sampled_names(self) -> list[str]:
@@ -218,7 +218,7 @@ class AnimationWriter:
             writer.finish(unit_scales)
         if self.weights:
             self._author_weights()
-        if self._root_paths:
+        if self._root_trajectories:
             self._author_root(placing_ops)
         elif disables_root_motion:
             author_xform_order(self.layer.GetPrimAtPath(self.paths.root), *placing_ops)
@@ -259,17 +259,19 @@ class AnimationWriter:
         """Author the SkelRoot's motion after its placing operations."""
         spec = self.layer.GetPrimAtPath(self.paths.root)
         types = Sdf.ValueTypeNames
-        names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
+        op_names = ["xformOp:translate:rootMotion", "xformOp:orient:rootMotion"]
         translation_writer = SampleWriter(
-            attribute_spec(spec, names[0], types.Double3), gf_vector
+            attribute_spec(spec, op_names[0], types.Double3), gf_vector
         )
         rotation_writer = SampleWriter(
-            attribute_spec(spec, names[1], types.Quatd),
+            attribute_spec(spec, op_names[1], types.Quatd),
             gf_quaternion,
             are_quaternions=True,
         )
-        author_xform_order(spec, *placing_ops, *names)
-        for codes, root_trajectory in zip(self.codes, self._root_paths, strict=True):
+        author_xform_order(spec, *placing_ops, *op_names)
+        for codes, root_trajectory in zip(
+            self.codes, self._root_trajectories, strict=True
+        ):
             translation_writer.add(codes, root_trajectory.translations)
             rotation_writer.add(codes, root_trajectory.rotations)
         translation_writer.finish(np.zeros(3))

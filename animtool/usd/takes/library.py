@@ -111,22 +111,22 @@ def find_take_set(start_prim: Any) -> TakeSet | None:
     return None
 
 
-def select_take(takes: TakeSet | None, name: str, file_path: str) -> TakeSet:
+def select_take(take_set: TakeSet | None, name: str, file_path: str) -> TakeSet:
     """Select a take in the stage's session layer; return the updated take set."""
-    if takes is None:
+    if take_set is None:
         message = f"unknown take {excerpt(name)}: the file is not a clip library"
         hint = f"a library has a variant set {TAKE_SET!r}"
         raise OptionError(Fault("USD031", message, file_path, (), hint))
-    if name not in takes.names:
-        similar_name = most_similar(name, takes.names)
+    if name not in take_set.names:
+        similar_name = most_similar(name, take_set.names)
         hint = f"did you mean {similar_name!r}? " if similar_name else ""
-        hint += f"the takes: {listed(takes.names, 40)}"
+        hint += f"the takes: {listed(take_set.names, 40)}"
         message = f"unknown take {excerpt(name)}"
         raise OptionError(Fault("USD031", message, file_path, (), hint))
-    stage = takes.prim.GetStage()
+    stage = take_set.prim.GetStage()
     with Usd.EditContext(stage, stage.GetSessionLayer()):
-        takes.prim.GetVariantSet(TAKE_SET).SetVariantSelection(name)
-    return replace(takes, selected_name=name)
+        take_set.prim.GetVariantSet(TAKE_SET).SetVariantSelection(name)
+    return replace(take_set, selected_name=name)
 
 
 def check_variant(
@@ -160,21 +160,21 @@ def check_can_add_take(
     with usd_errors(path):
         stage = open_stage(path)
         skeletons = find_skeletons(stage, search_root(stage, prim_path))
-        takes = find_take_set(skeletons[0].GetPrim()) if skeletons else None
-    if takes is None:
+        take_set = find_take_set(skeletons[0].GetPrim()) if skeletons else None
+    if take_set is None:
         message = "is not a clip library that a take can be added to"
         hint = f"a library has a skeleton below a variant set {TAKE_SET!r}"
         raise OptionError(Fault("SCN051", message, str(path), (), hint))
-    if take_name not in takes.names:
+    if take_name not in take_set.names:
         return
     if not overwrite:
         message = (
             f"already has a take {take_name!r}, of "
-            f"{listed(takes.names, MAX_LISTED_TAKES)}"
+            f"{listed(take_set.names, MAX_LISTED_TAKES)}"
         )
         hint = f"{argument('overwrite', True)} replaces it; take: chooses another name"
         raise OptionError(Fault("SCN050", message, str(path), (), hint))
-    variant = takes.prim.GetPath().AppendVariantSelection(TAKE_SET, take_name)
+    variant = take_set.prim.GetPath().AppendVariantSelection(TAKE_SET, take_name)
     if stage.GetRootLayer().GetPrimAtPath(variant) is None:
         message = f"has the take {take_name!r} in another layer, which is not written"
         hint = "write to that layer instead"

@@ -189,7 +189,7 @@ def read_character(
         stream.rig, skeleton_prim, animation_prim, location
     )
     if placement_choice == DROP_PLACEMENT:
-        stream = _drop_placement(stream, placement, skeleton_prim, str(path))
+        stream = _without_placement(stream, placement, skeleton_prim, str(path))
     else:
         stream.rig = rig_at_stage_placement(stream.rig, placement)
     stream.notices += skipped_skeletons_notice(skeletons, str(path))
@@ -230,7 +230,7 @@ def _apply_placement(
     return transform_motion(motion, roots, applied_placement).map(Channel.compact)
 
 
-def _drop_placement(
+def _without_placement(
     stream: TakeStream, placement: SkeletonPlacement, prim: Any, path: str
 ) -> TakeStream:
     """Return a take without its stage placement; the take can still evaluate it.

@@ -128,12 +128,15 @@ def convert_to_rig_space(
             lambda codes: placement_at(codes).fixed_placement.inverse(),
             notices,
         )
-    inverse = (
+    inverse_placement = (
         rig_placement.fixed_placement if keeps_placement else upright_placement
     ).inverse()
-    is_needed = keeps_placement or not inverse.is_identity
+    is_needed = keeps_placement or not inverse_placement.is_identity
     return RigSpaceTake(
-        stream, upright_placement, (lambda _: inverse) if is_needed else None, notices
+        stream,
+        upright_placement,
+        (lambda _: inverse_placement) if is_needed else None,
+        notices,
     )
 
 
@@ -142,7 +145,7 @@ REST_TOLERANCE = 1e-3
 
 
 def _is_rest_placed(
-    take: Rig, local_rig: Rig, rig_placement: SkeletonPlacement
+    take_rig: Rig, local_rig: Rig, rig_placement: SkeletonPlacement
 ) -> bool:
     """Return whether a take's rest pose is at the stage placement of the rig.
 
@@ -150,23 +153,23 @@ def _is_rest_placed(
     BVH, whose joints have no rest rotation, only the roots are placed.
     """
     if (
-        take.placement is not None
-        or not take.has_rest
+        take_rig.placement is not None
+        or not take_rig.has_rest
         or rig_placement.heading_placement.is_identity
     ):
         return False
-    rig_index = {
+    rig_index_by_name = {
         joint.source_name or joint.name: j for j, joint in enumerate(local_rig.joints)
     }
     joint_pairs = [
-        (j, rig_index[name])
-        for j, joint in enumerate(take.joints)
-        if (name := joint.source_name or joint.name) in rig_index
+        (j, rig_index_by_name[name])
+        for j, joint in enumerate(take_rig.joints)
+        if (name := joint.source_name or joint.name) in rig_index_by_name
     ]
     if len(joint_pairs) < 2:
         return False
     take_joints, rig_joints = np.array(joint_pairs).T
-    rest_positions = rest_world(take).positions[0, take_joints]
+    rest_positions = rest_world(take_rig).positions[0, take_joints]
     extent = float(np.ptp(rest_positions, axis=0).max())
     placed_errors, unplaced_errors = (
         np.abs(
@@ -175,7 +178,7 @@ def _is_rest_placed(
         ).max(axis=1)
         for candidate in (rig_placement.rest_placement, rig_placement.upright_placement)
     )
-    is_root = np.array([take.joints[j].parent < 0 for j, _ in joint_pairs])
+    is_root = np.array([take_rig.joints[j].parent < 0 for j, _ in joint_pairs])
     return any(
         bool(
             placed_errors[is_compared].max()
@@ -187,16 +190,18 @@ def _is_rest_placed(
     )
 
 
-def _has_world_lengths(take: Rig, local_rig: Rig, scale: float) -> bool:
+def _has_world_lengths(take_rig: Rig, local_rig: Rig, scale: float) -> bool:
     """Return whether bone lengths match the rig in world scale rather than local scale.
 
     An animation without its Skeleton does not state its space.
     """
-    lengths = {j.name: float(np.linalg.norm(j.translation)) for j in local_rig.joints}
+    rig_lengths = {
+        j.name: float(np.linalg.norm(j.translation)) for j in local_rig.joints
+    }
     length_pairs = [
-        (float(np.linalg.norm(joint.translation)), lengths[joint.name])
-        for joint in take.joints
-        if joint.parent >= 0 and joint.name in lengths
+        (float(np.linalg.norm(joint.translation)), rig_lengths[joint.name])
+        for joint in take_rig.joints
+        if joint.parent >= 0 and joint.name in rig_lengths
     ]
     take_length, rig_length = (
         (sum(row) for row in zip(*length_pairs, strict=True))

@@ -223,9 +223,9 @@ def _is_vertical(handle: FloatArray) -> bool:
         return bool(handle[1] != 0.0 and not np.isfinite(handle[1] / handle[0]))
 
 
-def _find_parameter(times: FloatArray, time: float) -> float:
+def _find_parameter(control_times: FloatArray, time: float) -> float:
     """Return the parameter of a monotonic Bézier curve at a time, by bisection."""
-    _, t1, t2, t3 = times.tolist()
+    _, t1, t2, t3 = control_times.tolist()
     lower, upper = 0.0, 1.0
     while lower < (u := (lower + upper) / 2) < upper:
         v = 1.0 - u
@@ -234,11 +234,11 @@ def _find_parameter(times: FloatArray, time: float) -> float:
     return upper
 
 
-def _split_bezier(points: FloatArray, u: float) -> list[FloatArray]:
+def _split_bezier(points: FloatArray, parameter: float) -> list[FloatArray]:
     """Split a Bézier curve at a parameter into two (de Casteljau)."""
     levels = [points]
     while len(levels[-1]) > 1:
-        levels.append(levels[-1][:-1] + u * (levels[-1][1:] - levels[-1][:-1]))
+        levels.append(levels[-1][:-1] + parameter * (levels[-1][1:] - levels[-1][:-1]))
     return [
         np.stack([row[0] for row in levels]),
         np.stack([row[-1] for row in levels[::-1]]),
@@ -314,7 +314,7 @@ def _build_extrapolation(
 def _measure_error(
     spline: Any, curves: Curves, evaluate: EvaluateCurve
 ) -> tuple[float, float]:
-    """Return the largest difference of spline and curve, and that at a cycle's end."""
+    """Return the largest error of a spline, and its error at the end of a cycle."""
     times = curves.times
     fractions = np.arange(SAMPLES_PER_SEGMENT) / SAMPLES_PER_SEGMENT
     segment_times = times[:-1, None] + np.diff(times)[:, None] * fractions

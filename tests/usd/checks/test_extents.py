@@ -11,7 +11,7 @@ from pxr import Sdf, Usd, UsdGeom, Vt
 from support.cli import animtool
 
 from animtool.usd.checks import check_layer, extents
-from animtool.usd.checks.subject import StageSubject
+from animtool.usd.checks.checked_stage import CheckedStage
 
 FRAMES = 120
 RIG = "/walk/Rig"
@@ -76,7 +76,7 @@ def test_a_skeleton_that_is_placed_is_left_to_usd(
     UsdGeom.Xformable(stage.GetPrimAtPath(f"{RIG}/Skel")).AddTranslateOp().Set(
         (9, 0, 0)
     )
-    found = list(extents.check_extents(StageSubject(stage)))
+    found = list(extents.check_extents(CheckedStage(stage)))
     assert [fault.code for fault in found] == ["USD251"]
     assert len(asked) >= extents.MAX_COMPUTED_SAMPLES
     assert "or more" in found[0].message

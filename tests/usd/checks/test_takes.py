@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pxr import Sdf, Usd
 
-from animtool.usd.checks.subject import StageSubject
+from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.checks.takes import animation_takes
 
 CHARACTER = """
@@ -33,21 +33,21 @@ CHARACTER = """
 """
 
 
-def crowd(lasts: list[int]) -> StageSubject:
+def crowd(lasts: list[int]) -> CheckedStage:
     layer = Sdf.Layer.CreateAnonymous(".usda")
     header = "#usda 1.0\n(\n    startTimeCode = 1\n    endTimeCode = 9\n)\n"
     characters = [CHARACTER.format(i, last) for i, last in enumerate(lasts)]
     assert layer.ImportFromString(header + "".join(characters))
-    return StageSubject(Usd.Stage.Open(layer))
+    return CheckedStage(Usd.Stage.Open(layer))
 
 
 def test_a_crowd_costs_no_more_a_character_than_a_few(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     calls: list[Any] = []
-    times = StageSubject.times
+    times = CheckedStage.times
     monkeypatch.setattr(
-        StageSubject,
+        CheckedStage,
         "times",
         lambda self, attr: calls.append(attr) or times(self, attr),
     )

@@ -14,7 +14,9 @@ def test_names_are_legal_distinct_and_reversible(texts: list[str]) -> None:
     found = joint_names([Joint(text, -1) for text in texts])
     assert all(Sdf.Path.IsValidIdentifier(name) for name in found.names)
     assert len(set(found.names)) == len(texts)
-    assert [found.originals.get(name, name) for name in found.names] == texts
+    assert [
+        found.sources_by_legal_name.get(name, name) for name in found.names
+    ] == texts
 
 
 @pytest.mark.parametrize(
@@ -32,7 +34,7 @@ def test_namespaces(strip: int, names: list[str]) -> None:
     assert found.names == names
     assert found.notices == []
     if strip:
-        assert found.originals[names[0]] == "a:b:hip"
+        assert found.sources_by_legal_name[names[0]] == "a:b:hip"
 
 
 def test_a_collision_names_both() -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pxr import Sdf, Usd, Vt
 from support.suite import examples
 
-from animtool.usd.checks.subject import SampledArray, StageSubject, samples_text
+from animtool.usd.checks.checked_stage import CheckedStage, SampledArray, samples_text
 
 TYPES = Sdf.ValueTypeNames
 
@@ -45,7 +45,7 @@ def test_samples_are_those_of_usd(
 ) -> None:
     stage = layered(offset, scale, rate, counts)
     attr = stage.GetAttributeAtPath("/A.x")
-    found = StageSubject(stage).sampled_array(attr)
+    found = CheckedStage(stage).sampled_array(attr)
     assert found.times.tolist() == attr.GetTimeSamples()
     for time, array, count in zip(found.times, found.arrays, found.counts, strict=True):
         theirs = attr.Get(time)
@@ -60,9 +60,9 @@ def test_samples_are_those_of_usd(
 
 
 def test_a_sample_is_read_once() -> None:
-    subject = StageSubject(layered(0, 1, 24, [1, 1, 1]))
-    attr = subject.stage.GetAttributeAtPath("/A.x")
-    assert subject.sampled_array(attr) is subject.sampled_array(attr)
+    checked_stage = CheckedStage(layered(0, 1, 24, [1, 1, 1]))
+    attr = checked_stage.stage.GetAttributeAtPath("/A.x")
+    assert checked_stage.sampled_array(attr) is checked_stage.sampled_array(attr)
 
 
 @pytest.mark.parametrize(

@@ -59,7 +59,7 @@ def samples_text(array: SampledArray, selection: BoolArray | IntArray) -> str:
 
 
 @dataclass
-class StageSubject:
+class CheckedStage:
     """A stage, with its prims and samples cached for the checks."""
 
     stage: Any  # a `Usd.Stage`
