@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from typing import TYPE_CHECKING, Any
 
-from animtool.core.errors import counted, excerpt
+from animtool.core.errors import counted, excerpt, percent_text
 from animtool.core.quantities import duration_text, plain_number, size_text
 from animtool.report.text import Each, Line, Table, Template
 
@@ -158,8 +158,9 @@ def _curve_error_text(curves: Sequence[CurveReport]) -> str:
 
 def _precision_text(take: TakeReport) -> str:
     """Return the number formats that the take is rounded to."""
-    if take.written.rounding.has_rounded_scales:
-        return "float32 and half scales"
+    scale_error = take.written.rounding.scale_error
+    if scale_error:
+        return f"float32 and half scales (up to {percent_text(scale_error)} off)"
     return "float32"
 
 

@@ -61,7 +61,8 @@ class MeshReport:
 _ERROR = (
     "{take=written.name+ meters=written.rounding.error relative=relative_error "
     "joint=error_joint frame=written.rounding.code "
-    "half_scales=written.rounding.has_rounded_scales}"
+    "half_scales=written.rounding.has_rounded_scales "
+    "scales=written.rounding.scale_error}"
 )
 
 

@@ -103,7 +103,7 @@ class WrittenBlock:
     error_joint_index: int  # joint with the largest error
     # Weights of the rig's shapes ``(F, S)`` float32; None if it has none.
     weights: Float32Array | None = None
-    has_rounded_scales: bool = False  # whether float16 changes a scale
+    scale_error: float = 0.0  # largest relative change of a scale by float16
 
 
 @dataclass(slots=True)
@@ -113,12 +113,17 @@ class RoundingError:
     error: float = 0.0  # largest distance that rounding moved a joint [m]
     code: float = 0.0  # time code of the largest error
     joint_index: int = 0  # joint with the largest error
-    # Whether scales were rounded too, to UsdSkel's float16.
-    has_rounded_scales: bool = False
+    # Largest relative change of a scale by UsdSkel's float16.
+    scale_error: float = 0.0
+
+    @property
+    def has_rounded_scales(self) -> bool:
+        """Whether scales were rounded."""
+        return self.scale_error > 0.0
 
     def add_block(self, block: WrittenBlock) -> None:
         """Update the largest rounding errors with those of a block."""
-        self.has_rounded_scales |= block.has_rounded_scales
+        self.scale_error = max(self.scale_error, block.scale_error)
         if block.error > self.error:
             self.error, self.code = block.error, block.error_code
             self.joint_index = block.error_joint_index

@@ -89,8 +89,18 @@ def round_blocks(
             float(codes[frame]),
             joint_index,
             _round_weights(motion, rig, codes),
-            scales is not None and bool((scales != stored_scales).any()),
+            _scale_error(scales, stored_scales),
         )
+
+
+def _scale_error(scales: FloatArray | None, stored_scales: FloatArray | None) -> float:
+    """Return the largest relative change of scales ``(F, J, 3)`` by rounding."""
+    if scales is None or stored_scales is None:
+        return 0.0
+    changes = np.abs(stored_scales - scales)
+    is_changed = changes > 0.0
+    ratios = changes[is_changed] / np.abs(scales[is_changed])
+    return float(ratios.max(initial=0.0))
 
 
 def _round_weights(motion: Motion, rig: Rig, codes: FloatArray) -> Float32Array | None:

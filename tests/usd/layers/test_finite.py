@@ -124,7 +124,7 @@ def test_half_scales_that_are_too_small_become_zero() -> None:
         iter([(np.ones(1), motion(np.zeros((1, 2, 3)), scales))]), PAIR, 1.0
     )
     block = next(blocks)
-    assert block.has_rounded_scales
+    assert block.scale_error == 1.0
     assert not np.asarray(block.scales).any()
 
 
