@@ -54,7 +54,7 @@ class _ChainBuilder:
         self.rig = rig
         self.slices = coordinate_slices(rig)
         self.ranges = coordinate_ranges(rig)
-        self.followed = _followed_joints(rig)
+        self.followed_joints = _followed_joints(rig)
         self.nodes: list[list[int]] = []
         self.rest_matrices: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
@@ -99,14 +99,14 @@ class _ChainBuilder:
         kind: int,
         frame: _Frame,
         rotation: FloatArray,
-        coordinate: int,
+        coordinate_index: int,
         *,
         driver_kind: int = UNDRIVEN,
         gain: tuple[float, float] = (1.0, 0.0),
         limit: tuple[float, float, float, float] = (-np.inf, np.inf, 0.0, 0.0),
     ) -> _Frame:
         """Append a node to the chain; return its frame."""
-        self.nodes.append([kind, frame.node, coordinate, driver_kind])
+        self.nodes.append([kind, frame.node, coordinate_index, driver_kind])
         self.rest_matrices.append(so3.to_matrix(so3.multiply(frame.rotation, rotation)))
         self.offsets.append(frame.translation)
         self.gains.append(gain)
@@ -149,7 +149,9 @@ class _ChainBuilder:
         self.is_length.append(is_length)
         is_full = high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
         # A revolution of a joint moves those that follow it by another angle.
-        is_periodic = not is_length and gain == 1.0 and leader not in self.followed
+        is_periodic = (
+            not is_length and gain == 1.0 and leader not in self.followed_joints
+        )
         is_unlimited = is_full and is_periodic
         has_period = is_unlimited and math.isfinite(high - low)
         self.periods.append((low, high) if has_period else UNLIMITED)
@@ -187,10 +189,12 @@ def _rotation_from_z(axis: FloatArray) -> FloatArray:
 
 def _followed_joints(rig: Rig) -> set[int]:
     """Return the joints that mimic or driven joints follow."""
-    names = {joint.mimic.joint for joint in rig.joints if joint.mimic is not None}
+    source_names = {
+        joint.mimic.joint for joint in rig.joints if joint.mimic is not None
+    }
     if rig.is_driven:
-        names.update(*plan_of(rig).joints_read.values())
-    return {leader_of(rig, rig.index(name))[0] for name in names}
+        source_names.update(*plan_of(rig).joints_read.values())
+    return {leader_of(rig, rig.index(name))[0] for name in source_names}
 
 
 def assemble_chain(
@@ -220,11 +224,11 @@ def assemble_chain(
     for j in sorted(moving_joints - joints_above_goals):
         # They move goals only through mimic joints: their position is irrelevant.
         builder.add_joint(j, root_frame)
-    limbs, faults = _limbs(rig, goals, moving_joints, frames, local)
+    limbs, faults = _limb_nodes(rig, goals, moving_joints, frames, local)
     return _build_chain(builder, rig, goals, frames, limbs), faults
 
 
-def _limbs(
+def _limb_nodes(
     rig: Rig,
     goals: Sequence[Goal],
     moving_joints: set[int],
@@ -266,11 +270,11 @@ def _build_chain(
         so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
         for goal, end in zip(goals, goal_frames, strict=True)
     ]
-    points = [
+    goal_points = [
         end.translation + tool
         for end, tool in zip(goal_frames, tool_offsets, strict=True)
     ]
-    length = _chain_length(builder, goal_frames, points)
+    length = _chain_length(builder, goal_frames, goal_points)
     scales = np.where(builder.is_length, length, 1.0)
     nodes, numbers = _node_rows(builder, scales, length)
     goal_numbers = [

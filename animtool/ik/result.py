@@ -16,7 +16,7 @@ from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
-from animtool.ik.goals import PARTS
+from animtool.ik.goals import GOAL_PARTS
 from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem
 from animtool.maths import so3
@@ -112,22 +112,22 @@ class IkResult:
     @property
     def positions(self) -> FloatArray:
         """Position misses of each goal ``(B, E)`` [m]; 0 if it has no position."""
-        return self.misses[:, :, PARTS.index("position")]
+        return self.misses[:, :, GOAL_PARTS.index("position")]
 
     @property
     def orientations(self) -> FloatArray:
         """Orientation misses of each goal ``(B, E)`` [rad]."""
-        return self.misses[:, :, PARTS.index("orientation")]
+        return self.misses[:, :, GOAL_PARTS.index("orientation")]
 
     @property
     def aims(self) -> FloatArray:
         """Aim misses of each goal ``(B, E)`` [rad]."""
-        return self.misses[:, :, PARTS.index("aim")]
+        return self.misses[:, :, GOAL_PARTS.index("aim")]
 
     @property
     def poles(self) -> FloatArray:
         """Pole misses of each goal ``(B, E)`` [rad]."""
-        return self.misses[:, :, PARTS.index("pole")]
+        return self.misses[:, :, GOAL_PARTS.index("pole")]
 
     @property
     def converged(self) -> BoolArray:
@@ -198,8 +198,8 @@ class IkResult:
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the names of the joints that are at a limit in pose ``index``."""
         row = self.coordinates[index][None]
-        names = frames_on_limits(self.problem, row)
-        return [name for name, is_on_limit in names.items() if is_on_limit[0]]
+        masks_by_joint = frames_on_limits(self.problem, row)
+        return [name for name, is_on_limit in masks_by_joint.items() if is_on_limit[0]]
 
     def __repr__(self) -> str:
         """Return the number of problems by status, and the worst miss."""

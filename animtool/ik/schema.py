@@ -22,7 +22,7 @@ from animtool.documents.fields import (
     Real,
     Vector,
 )
-from animtool.ik.goals import KINDS, TargetValue
+from animtool.ik.goals import GOAL_KINDS, TargetValue
 
 Weight = Annotated[Real, Field(ge=0)]
 
@@ -90,7 +90,7 @@ _TARGET_TYPES = {TargetValue.POINT: Vector, TargetValue.ROTATION: Quaternion}
 def _with_kinds(base: type[FileModel], *, uses_weights: bool) -> type[FileModel]:
     """Return a model with a key for each kind of goal: its weight, or its target."""
     fields: dict[str, Any] = {}
-    for kind in KINDS:
+    for kind in GOAL_KINDS:
         target_type = (
             AimModel
             if kind.has_axis

@@ -48,16 +48,16 @@ def with_mimics(
     rig: Rig, coordinates: FloatArray, moving_names: Collection[str]
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic and driven joints updated."""
-    names = find_mimics(rig, moving_names)
-    if not names:
+    mimic_names = find_mimics(rig, moving_names)
+    if not mimic_names:
         return coordinates
     if rig.is_driven:
         driven_names = {rig.names[j] for j in plan_of(rig).joints}
-        names = [name for name in names if name not in driven_names]
+        mimic_names = [name for name in mimic_names if name not in driven_names]
     slices, coordinates = coordinate_slices(rig), coordinates.copy()
     # Repeated for each name, so that chains of mimics are resolved.
-    for _ in names:
-        for name in names:
+    for _ in mimic_names:
+        for name in mimic_names:
             mimic = rig.joints[rig.index(name)].mimic
             assert mimic is not None
             leader_coordinates = coordinates[:, slices[rig.index(mimic.joint)]]
@@ -101,7 +101,7 @@ def coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
 
 
 def start_coordinates(rig: Rig) -> FloatArray:
-    """Return the rest pose ``(1, Q)``, within limits as of `within_limits`.
+    """Return the rest pose ``(1, Q)``, clamped as by `within_limits`.
 
     >>> from animtool.rig.skeleton import Joint, JointType
     >>> from animtool.rig.limits import RangeLimit
@@ -127,7 +127,7 @@ def within_limits(rig: Rig, coordinates: FloatArray) -> FloatArray:
     return coordinates
 
 
-def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
+def sub_rig(rig: Rig, joint_names: Iterable[str]) -> tuple[Rig, IntArray]:
     """Return a rig of the named joints and their ancestors, and their indices.
 
     Mimic joints of these joints, and the joints that they mimic, are included, with all
@@ -142,7 +142,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     (['a', 'c'], [0, 2])
     """
     included_joints: set[int] = set()
-    pending_joints = [rig.index(name) for name in names]
+    pending_joints = [rig.index(name) for name in joint_names]
     driver_links = _driver_links(rig) if rig.is_driven else {}
     while pending_joints:
         j = pending_joints.pop()
@@ -183,10 +183,10 @@ def _driver_links(rig: Rig) -> dict[int, list[int]]:
     return linked_joints
 
 
-def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
+def _supported_controls(rig: Rig, joint_names: Collection[str]) -> tuple[Control, ...]:
     """Return controls without drives of joints, and without unsupported drivers."""
     # Names of controls have no joint.
-    available_names = {"", *names}
+    available_names = {"", *joint_names}
     controls = []
     for control in rig.controls:
         drives = tuple(
@@ -228,14 +228,16 @@ def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
     ['free', 'pin']
     """
     typed_joints = {joint.name: joint for joint in typed_rig.joints}
-    names = set(rig.names)
+    rig_names = set(rig.names)
     joints = []
     for joint in with_ball_joints(rig).joints:
         typed_joint = typed_joints.get(joint.name)
         if typed_joint is None:
             joints.append(joint)
             continue
-        has_leader = typed_joint.mimic is not None and typed_joint.mimic.joint in names
+        has_leader = (
+            typed_joint.mimic is not None and typed_joint.mimic.joint in rig_names
+        )
         joints.append(
             replace(
                 joint,
@@ -246,12 +248,12 @@ def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
                 limits=typed_joint.limits,
                 mimic=typed_joint.mimic if has_leader else None,
                 driven=typed_joint.driven
-                if _has_driver_inputs(typed_joint, names, rig)
+                if _has_driver_inputs(typed_joint, rig_names, rig)
                 else None,
             )
         )
     chains = tuple(
-        chain for chain in typed_rig.chains if {chain.root, chain.tip} <= names
+        chain for chain in typed_rig.chains if {chain.root, chain.tip} <= rig_names
     )
     return replace(rig, joints=tuple(joints), chains=chains)
 

@@ -64,7 +64,7 @@ class Channel:
         return values
 
     def reorder(self, indices: IntArray, rest_values: FloatArray) -> Channel:
-        """Return the channel with the joints of indices; -1 gives the rest value."""
+        """Return the channel with its joints reordered; -1 takes the rest value."""
         is_mapped = indices >= 0
         rest = np.array(rest_values, np.float64)
         rest[is_mapped] = self.rest[indices[is_mapped]]
