@@ -48,11 +48,11 @@ def sample_blocks(
     if len(times) <= block_size:
         yield sample_channels(channels, rig, times, clamp=clamp)
         return
-    starts = range(0, len(times), block_size)
+    block_starts = range(0, len(times), block_size)
     # Each begins with the last time of the one before: signs and moves continue there.
     time_spans = [
         times[max(0, block_start - 1) : block_start + block_size]
-        for block_start in starts
+        for block_start in block_starts
     ]
     layout = _find_layout(channels, rig, time_spans, clamp=clamp)
     sampler = _BlockSampler(channels, rig, clamp)
@@ -192,14 +192,14 @@ class _BlockLayout:
 def _find_layout(
     channels: Sequence[ClipChannel],
     rig: Rig,
-    spans: Sequence[FloatArray],
+    time_spans: Sequence[FloatArray],
     *,
     clamp: bool,
 ) -> _BlockLayout:
-    """Return the rows that move in any span; stop once all keyed rows have moved."""
+    """Return the layout of rows that move in a span; stop once all keyed rows moved."""
     layout, sampler = _BlockLayout(), _BlockSampler(channels, rig, clamp)
     targets = _moving_targets(channels, rig)
-    for span in spans:
+    for span in time_spans:
         layout.add_moving_parts(sampler.sample_motion(span))
         if targets is not None and layout.covers(targets):
             break
@@ -218,14 +218,14 @@ def _moving_targets(
     )
     if has_indirect_motion:
         return None
-    shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
+    shape_index_by_name = {shape.name: i for i, shape in enumerate(rig.shapes)}
     targets = set()
     for channel in channels:
         if is_static(channel):
             continue
         group, _, name = channel.target.partition("/")
         if group == "shape":
-            targets.add(("weights", shapes[name]))
+            targets.add(("weights", shape_index_by_name[name]))
             continue
         joint, part = split_part(name, KEYED_PARTS)
         component = {"angle": "rotation", "slide": "translation"}.get(part, part)

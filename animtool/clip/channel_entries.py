@@ -219,8 +219,8 @@ class CurveReader:
         locations += [
             (("keys", k), key, ("in_", "out", "tcb")) for k, key in enumerate(keys)
         ]
-        for location, entry, names in locations:
-            for name in names:
+        for location, entry, field_names in locations:
+            for name in field_names:
                 if name in entry.model_fields_set:
                     key = name.rstrip("_")
                     message = f"quaternions have no {key}"

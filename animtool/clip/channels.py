@@ -66,8 +66,8 @@ local_rotation, scale
     if group in {"control", "shape"} and name:
         if rig is None:
             return group
-        names = rig.control_names if group == "control" else rig.shape_names
-        if name not in names:
+        known_names = rig.control_names if group == "control" else rig.shape_names
+        if name not in known_names:
             named_parts = rig.controls if group == "control" else rig.shapes
             nearest_hint = name_hint(name, [part.name for part in named_parts])
             hint = _full_target(name, rig) or nearest_hint
@@ -138,15 +138,17 @@ MIN_UNKNOWN_TARGETS = 3
 
 def unknown_targets(targets: Iterable[str], rig: Rig) -> list[str]:
     """Return the targets whose joint, shape or control a rig lacks (CLIP002)."""
-    kinds = {target: target_kind(target, rig) for target in targets}
+    kind_by_target = {target: target_kind(target, rig) for target in targets}
     return [
         target
-        for target, kind in kinds.items()
+        for target, kind in kind_by_target.items()
         if isinstance(kind, Fault) and kind.code == "CLIP002"
     ]
 
 
-def lacks_most_targets(missing: Sequence[str], target_count: int, rig: Rig) -> bool:
+def lacks_most_targets(
+    missing_targets: Sequence[str], target_count: int, rig: Rig
+) -> bool:
     """Return whether a rig lacks so many targets that they are another rig's."""
     names_by_group = {
         "joint": rig.names,
@@ -156,7 +158,7 @@ def lacks_most_targets(missing: Sequence[str], target_count: int, rig: Rig) -> b
     are_similar = [
         _full_target(name, rig) is not None
         or most_similar(name, names_by_group[group]) is not None
-        for group, name in map(_group_and_name, missing)
+        for group, name in map(_group_and_name, missing_targets)
     ]
     return belong_elsewhere(are_similar, target_count, MIN_UNKNOWN_TARGETS)
 
@@ -167,12 +169,16 @@ def _group_and_name(target: str) -> tuple[str, str]:
     return group, split_part(name, KEYED_PARTS)[0] if group == "joint" else name
 
 
-def missing_targets_text(missing: Sequence[str], target_count: int, rig: Rig) -> str:
+def missing_targets_text(
+    missing_targets: Sequence[str], target_count: int, rig: Rig
+) -> str:
     """Return how many targets a rig lacks, and the first of them."""
     text = f"has none of the {target_count} targets"
-    if len(missing) < target_count:
-        text = f"lacks {len(missing)} of the {target_count} targets"
-    subjects = (f"{group} {name!r}" for group, name in map(_group_and_name, missing))
+    if len(missing_targets) < target_count:
+        text = f"lacks {len(missing_targets)} of the {target_count} targets"
+    subjects = (
+        f"{group} {name!r}" for group, name in map(_group_and_name, missing_targets)
+    )
     return f"rig {rig.name!r} {text}: {listed(list(dict.fromkeys(subjects)), 4)}"
 
 
@@ -197,9 +203,9 @@ def check_targets(
     """
     kinds_or_faults = [target_kind(target, rig) for target in targets]
     faults = [result for result in kinds_or_faults if isinstance(result, Fault)]
-    missing = unknown_targets(targets, rig)
-    if lacks_most_targets(missing, len(targets), rig):
-        message = missing_targets_text(missing, len(targets), rig)
+    missing_targets = unknown_targets(targets, rig)
+    if lacks_most_targets(missing_targets, len(targets), rig):
+        message = missing_targets_text(missing_targets, len(targets), rig)
         hint = "is it the right rig?"
         if clip_rig_path is not None:
             hint = f"the clip names {clip_rig_path}; {hint}"

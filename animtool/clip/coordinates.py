@@ -227,8 +227,8 @@ def joint_tracks(
     tolerances: Tolerances,
 ) -> list[KeyTrack]:
     """Return key tracks of the joint motion that controls and mimics do not produce."""
-    tracks: dict[int, list[KeyTrack]] = {}
-    coordinates: dict[str, FloatArray] = {}
+    tracks_by_joint: dict[int, list[KeyTrack]] = {}
+    coordinates_by_joint: dict[str, FloatArray] = {}
     mimic_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
     leader_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
     for j in (*leader_indices, *mimic_indices):
@@ -239,17 +239,17 @@ def joint_tracks(
         driven_value = keyed_joint.driven_values(COORDINATE_PARTS.get(joint.type, ""))
         if joint.mimic is not None:
             mimic = joint.mimic
-            leader = coordinates.get(mimic.joint, np.zeros(1))
+            leader = coordinates_by_joint.get(mimic.joint, np.zeros(1))
             mimic_value = mimic.gain * leader + mimic.offset
             driven_value = mimic_value if mimic_value.any() else driven_value
-        tracks[j] = list(keyed_joint.key_tracks(driven_value))
-        keyed_parts = {track.part for track in tracks[j]}
-        coordinates[joint.name] = driven_value
+        tracks_by_joint[j] = list(keyed_joint.key_tracks(driven_value))
+        keyed_parts = {track.part for track in tracks_by_joint[j]}
+        coordinates_by_joint[joint.name] = driven_value
         if keyed_parts & {"angle", "slide"}:
-            coordinates[joint.name] = motions[j].coordinate
+            coordinates_by_joint[joint.name] = motions[j].coordinate
         if keyed_parts & {"local_rotation", "local_translation"}:
-            coordinates[joint.name] = np.zeros(1)
-    return [track for j in range(len(rig.joints)) for track in tracks[j]]
+            coordinates_by_joint[joint.name] = np.zeros(1)
+    return [track for j in range(len(rig.joints)) for track in tracks_by_joint[j]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,8 +265,8 @@ class _KeyedJoint:
 
     def driven_values(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a part ``(F or 1,)``."""
-        source = self.fitted_values if use_fitted else self.control_values
-        return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
+        values_by_target = self.fitted_values if use_fitted else self.control_values
+        return values_by_target.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
     def driven_vectors(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
@@ -282,8 +282,8 @@ class _KeyedJoint:
     @property
     def is_driven(self) -> bool:
         """Whether controls contribute to the joint."""
-        name = f"joint/{self.joint.name}."
-        return any(target.startswith(name) for target in self.control_values)
+        target_prefix = f"joint/{self.joint.name}."
+        return any(target.startswith(target_prefix) for target in self.control_values)
 
     def _translation_tracks(
         self, expected_coordinates: FloatArray

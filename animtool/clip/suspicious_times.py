@@ -50,10 +50,12 @@ def _warn_of_seconds(
     frame_range: tuple[float, float] | None,
 ) -> bool:
     """Warn of key times in seconds (CLIP110); return whether they are in seconds."""
-    texts = seconds_texts([channel.times for channel in channels], fps, frame_range)
-    if texts is None:
+    message_and_hint = seconds_texts(
+        [channel.times for channel in channels], fps, frame_range
+    )
+    if message_and_hint is None:
         return False
-    message, hint = texts
+    message, hint = message_and_hint
     i = max(range(len(channels)), key=lambda i: channels[i].times[-1])
     location = ("channels", i, "keys", len(channels[i].times) - 1, "t")
     document.warn("CLIP110", location, f"key times from {message}", hint)
@@ -65,8 +67,8 @@ def seconds_texts(
 ) -> tuple[str, str] | None:
     """Return a message about times in seconds and a hint, or None (CLIP110).
 
-    The times of each curve ascend; ``frame_range`` are the first and last of the file's
-    range.
+    The times of each curve ascend; ``frame_range`` is the first and last frame of the
+    file's range.
     """
     if not times:
         return None

@@ -20,7 +20,7 @@ from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.surfaces import StoredArrays, with_array_file
 from animtool.rig.write import rig_text
 
-MAX_NAMES = 6
+MAX_LISTED_NAMES = 6
 
 
 def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
@@ -82,10 +82,10 @@ def _unchanged_keys(take: Take, options: WriteOptions) -> Clip | None:
 
 def _skipped_content_warnings(take: Take) -> list[Fault]:
     """Return a warning about content that a clip cannot store."""
-    names = [*(track.path for track in take.tracks), *take.motion.points]
-    if not names:
+    skipped_names = [*(track.path for track in take.tracks), *take.motion.points]
+    if not skipped_names:
         return []
-    message = f"a clip cannot hold {listed(names, MAX_NAMES)}: skipped"
+    message = f"a clip cannot hold {listed(skipped_names, MAX_LISTED_NAMES)}: skipped"
     hint = "write USD too, which can hold them"
     return [warning("CLIP119", message, hint)]
 

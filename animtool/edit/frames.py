@@ -96,12 +96,14 @@ def seconds_hint(
         return None
     seconds_text = " to ".join(f"{value:g}" for value in values)
     codes_text = " to ".join(f"{code:.4g}" for code in codes)
-    subject = "frame" if len(codes) == 1 else "frames"
+    noun = "frame" if len(codes) == 1 else "frames"
     verb = "is" if len(codes) == 1 else "are"
-    names = [argument(name, frame) for name, frame in zip(options, frames, strict=True)]
+    option_texts = [
+        argument(name, frame) for name, frame in zip(options, frames, strict=True)
+    ]
     return (
-        f"are these seconds? {seconds_text} s {verb} {subject} {codes_text}: write "
-        f"{' and '.join(names)}"
+        f"are these seconds? {seconds_text} s {verb} {noun} {codes_text}: write "
+        f"{' and '.join(option_texts)}"
     )
 
 

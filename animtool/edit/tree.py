@@ -62,7 +62,7 @@ def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
 
 # Scales, and angles [rad], that differ by less are equal: files have float32 or half
 # precision, and 1e-9 is invisible.
-EQUAL_VALUES = 1e-9
+EQUAL_VALUE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,7 +82,9 @@ def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
     rotations = motion.rotations.gather(joint_and_children)
     inverse_rotations = so3.conjugate(transforms.rotations)
     rotation = so3.multiply(inverse_rotations, rotations[:, 0])[:, None]
-    is_rotated = so3.angle_between(transforms.rotations, rotations[:, 0]) > EQUAL_VALUES
+    is_rotated = (
+        so3.angle_between(transforms.rotations, rotations[:, 0]) > EQUAL_VALUE_TOLERANCE
+    )
     scale = _joint_scale(take, joint, is_rotated)[:, None]
     offset = translations[:, 0] - transforms.translations
     shift = so3.rotate(inverse_rotations, offset)[:, None]
@@ -104,7 +106,9 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
     if scales is None:
         return np.ones((1, 3))
     values = scales.gather(np.array([joint]))[:, 0]
-    is_uneven = np.ptp(values, axis=-1) > EQUAL_VALUES * np.abs(values).max(axis=-1)
+    is_uneven = np.ptp(values, axis=-1) > EQUAL_VALUE_TOLERANCE * np.abs(values).max(
+        axis=-1
+    )
     if (values == 0).any() or (is_uneven & is_rotated).any():
         message = f"{take.rig.names[joint]!r} has a scale of 0 or one that differs by "
         message += "axis, which would shear the joints below it"
@@ -233,28 +237,30 @@ def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
 
 def _referenced_joints(rig: Rig) -> set[str]:
     """Return the joints that other parts of a rig reference."""
-    names = {name for chain in rig.chains for name in (chain.root, chain.tip)}
-    names.update(*(mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None))
-    names.update(*(attachment.joints for attachment in rig.attach))
+    joint_names = {name for chain in rig.chains for name in (chain.root, chain.tip)}
+    joint_names.update(
+        *(mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None)
+    )
+    joint_names.update(*(attachment.joints for attachment in rig.attach))
     for control in rig.controls:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
-                names.add(split_part(name, DRIVEN_PARTS)[0])
+                joint_names.add(split_part(name, DRIVEN_PARTS)[0])
     drivers = (
         *(joint.driven for joint in rig.joints),
         *(shape.driven for shape in rig.shapes),
         *(control.driven for control in rig.controls),
     )
     for driver in filter(None, drivers):
-        names.update(split_coordinate(name)[0] for name in driver.names)
+        joint_names.update(split_coordinate(name)[0] for name in driver.names)
     for joint in rig.joints:
         if joint.driven is not None:
-            names.add(joint.name)
+            joint_names.add(joint.name)
         if joint.mimic is not None:
-            names.add(joint.mimic.joint)
-    names.update(collider.joint for collider in rig.colliders)
-    return names.union(mass.joint for mass in rig.masses)
+            joint_names.add(joint.mimic.joint)
+    joint_names.update(collider.joint for collider in rig.colliders)
+    return joint_names.union(mass.joint for mass in rig.masses)
 
 
 @dataclass(frozen=True, slots=True)

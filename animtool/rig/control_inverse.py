@@ -42,7 +42,7 @@ class SolvedControls:
 def keys_of_controls(
     controls: Sequence[Control], solved_values: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return the keys that give control values ``(F,)`` on top of others' drives.
+    """Return the keys that produce control values ``(F,)`` in addition to other drives.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression
@@ -182,10 +182,10 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
         affected_names = {name.removeprefix("control/") for name in affected_names}
         for name in affected_names:
             linked_names.setdefault(name, set()).update(affected_names)
-    names = [control.name for control in controls]
+    control_names = [control.name for control in controls]
     groups: list[set[str]] = []
     visited_names: set[str] = set()
-    for name in names:
+    for name in control_names:
         if name in visited_names:
             continue
         group, pending_names = set(), [name]
@@ -195,7 +195,7 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
                 group.add(name_in_group)
                 pending_names.extend(linked_names.get(name_in_group, ()))
         visited_names |= group
-        groups.append(group & set(names))
+        groups.append(group & set(control_names))
     return groups
 
 

@@ -47,7 +47,7 @@ class Drive:
         return (control,) if self.expression is None else self.expression.names
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Return the contribution, given the values of all controls."""
+        """Return the drive's contribution ``(F,)`` for the values of all controls."""
         if self.expression is not None:
             return self.expression.evaluate(values) * self.unit
         value = curve_values(self.curve, values[control], is_smooth=self.is_smooth)
@@ -98,7 +98,7 @@ class ControlEffects:
 def undefined_faults(
     values_by_name: Mapping[str, FloatArray], times: FloatArray
 ) -> list[Fault]:
-    """Return a fault for each ``(F,)`` or ``(1,)`` values that are not all finite."""
+    """Return a fault for each name whose values ``(F,)`` or ``(1,)`` are not finite."""
     faults = []
     for name, values in values_by_name.items():
         undefined_frames = np.flatnonzero(~np.isfinite(values))

@@ -144,8 +144,8 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
 
 def driver_cycle_text(error: DependencyCycleError) -> str:
     """Return the message about driven targets that depend on each other in a cycle."""
-    names = cycle_text([target.partition("/")[2] for target in error.cycle])
-    return f"what is driven depends on itself: {names}"
+    cycle_names = cycle_text([target.partition("/")[2] for target in error.cycle])
+    return f"what is driven depends on itself: {cycle_names}"
 
 
 def _driver_inputs(driver: Driver | None) -> dict[str, None]:

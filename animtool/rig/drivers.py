@@ -30,7 +30,7 @@ class Driver:
 
     # Expression over controls and coordinates, JOINT.PART; None if there is a curve.
     expression: Expression | None = None
-    # Input of the curve: one such name.
+    # Name of the control or coordinate that the curve reads.
     curve_input: str = ""
     # Points (input, value), ascending, constant beyond the ends.
     curve: CurvePoints = ()
@@ -71,7 +71,7 @@ class Driver:
         x = values_in_units[self.curve_input]
         return curve_values(self.curve, x, is_smooth=self.is_smooth) * self.unit
 
-    def mirrored(self, names: Mapping[str, str]) -> Driver:
+    def mirrored(self, partner_names: Mapping[str, str]) -> Driver:
         """Return the mirrored driver, with partner joints by name.
 
         Equal angles, slides and twists are mirror images, and so are swings about X;
@@ -91,11 +91,11 @@ class Driver:
         elif signs:
             points = tuple((-x, y) for x, y in reversed(self.curve))
             mirrored_driver = replace(self, curve=points)
-        return mirrored_driver.with_renamed_joints(names)
+        return mirrored_driver.with_renamed_joints(partner_names)
 
-    def with_renamed_joints(self, names: Mapping[str, str]) -> Driver:
+    def with_renamed_joints(self, new_joint_names: Mapping[str, str]) -> Driver:
         """Return the driver with new joint names in its inputs; others are kept."""
-        new_names = renamed_coordinates(self.names, names)
+        new_names = renamed_coordinates(self.names, new_joint_names)
         if self.expression is not None:
             return replace(
                 self, expression=self.expression.with_renamed_inputs(new_names)
@@ -114,7 +114,7 @@ def split_coordinate(name: str) -> tuple[str, str]:
 
 
 def renamed_coordinates(
-    input_names: Sequence[str], names: Mapping[str, str]
+    input_names: Sequence[str], new_joint_names: Mapping[str, str]
 ) -> dict[str, str]:
     """Map coordinate and control names to their names after joints are renamed.
 
@@ -124,7 +124,9 @@ def renamed_coordinates(
     new_names = {}
     for name in input_names:
         joint, part = split_coordinate(name)
-        new_names[name] = f"{names.get(joint, joint)}.{part}" if joint else name
+        new_names[name] = (
+            f"{new_joint_names.get(joint, joint)}.{part}" if joint else name
+        )
     return new_names
 
 

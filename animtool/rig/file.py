@@ -51,7 +51,7 @@ def read_bind_poses(
     states a bind pose for it.
     """
     joints = {joint.name: joint for joint in file_joints.joints}
-    bind = dict(inherited_poses)
+    bind_poses = dict(inherited_poses)
     for name, model in models.items():
         if name not in joints:
             message = f"unknown joint {name!r}"
@@ -59,21 +59,21 @@ def read_bind_poses(
                 hint = name_hint(name, list(joints))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
-        bind[name] = _read_pose(document, name, model, joints[name], units)
-    bind |= _mirrored_poses(file_joints, bind, set(models))
+        bind_poses[name] = _read_pose(document, name, model, joints[name], units)
+    bind_poses |= _mirrored_poses(file_joints, bind_poses, set(models))
     return {
         name: pose
-        for name, pose in bind.items()
+        for name, pose in bind_poses.items()
         if (name in inherited_poses and name not in models)
         or pose != joints[name].rest_pose
     }
 
 
 def _read_pose(
-    document: Document, name: str, model: PoseModel, rest: Joint, units: FileUnits
+    document: Document, name: str, model: PoseModel, rest_joint: Joint, units: FileUnits
 ) -> Pose:
     """Return a bind pose; values that the file omits are taken from the rest pose."""
-    translation, rotation = rest.translation, rest.rotation
+    translation, rotation = rest_joint.translation, rest_joint.rotation
     if model.translate is not None:
         translation = scale_vector(model.translate, units.length)
     if model.rotate is not None:
@@ -83,18 +83,18 @@ def _read_pose(
 
 
 def _mirrored_poses(
-    joints: FileJoints, bind: Mapping[str, Pose], explicit_names: set[str]
+    file_joints: FileJoints, bind: Mapping[str, Pose], explicit_names: set[str]
 ) -> dict[str, Pose]:
     """Return the bind poses of mirrored joints, parents before children."""
     poses: dict[str, Pose] = {}
-    if not joints.mirrored_joints - explicit_names or not bind:
+    if not file_joints.mirrored_joints - explicit_names or not bind:
         return poses
     world_transforms: list[PoseArrays] = []
-    indices = {joint.name: i for i, joint in enumerate(joints.joints)}
-    for joint in joints.joints:
+    indices = {joint.name: i for i, joint in enumerate(file_joints.joints)}
+    for joint in file_joints.joints:
         parent = world_transforms[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
-            joint.name in joints.mirrored_joints
+            joint.name in file_joints.mirrored_joints
             and joint.name not in explicit_names
             and joint.mirror in explicit_names
         ):
@@ -270,16 +270,16 @@ def _overlay_joints(
     document: Document, model: RigModel, inherited_rig: Rig, units: FileUnits
 ) -> FileJoints:
     """Apply the joint types and limits of a sidecar to the joints of its base."""
-    names = {
+    rig_names = {
         joint.source_name or joint.name: joint.name for joint in inherited_rig.joints
     }
-    names |= {joint.name: joint.name for joint in inherited_rig.joints}
+    rig_names |= {joint.name: joint.name for joint in inherited_rig.joints}
     for i, entry in enumerate(model.joints):
         for key in ("name", "mirror"):
             name = getattr(entry, key)
-            if name is not None and name not in names:
+            if name is not None and name not in rig_names:
                 message = f"unknown joint {name!r} of {model.source}"
-                hint = name_hint(name, list(names))
+                hint = name_hint(name, list(rig_names))
                 document.add("RIG008", ("joints", i, key), message, hint)
         for key in ("parent", "translate", "rotate", "tips", "channels"):
             if key in entry.model_fields_set:
@@ -287,10 +287,10 @@ def _overlay_joints(
                 document.add("RIG023", ("joints", i, key), message, "remove it")
     sidecar_roots = _sidecar_roots(document, model, units)
     sidecar_joints = {
-        names.get(joint.name, joint.name): joint for joint in sidecar_roots.joints
+        rig_names.get(joint.name, joint.name): joint for joint in sidecar_roots.joints
     }
     mirror_names = {
-        names.get(entry.name, entry.name): names.get(entry.mirror or "", "")
+        rig_names.get(entry.name, entry.name): rig_names.get(entry.mirror or "", "")
         for entry in model.joints
     }
     joints = []
@@ -301,7 +301,7 @@ def _overlay_joints(
             continue
         driver, mimic = entry_joint.driven, entry_joint.mimic
         if mimic is not None:
-            mimic = replace(mimic, joint=names.get(mimic.joint, mimic.joint))
+            mimic = replace(mimic, joint=rig_names.get(mimic.joint, mimic.joint))
         overlaid_joint = replace(
             joint,
             type=entry_joint.type,
@@ -311,11 +311,11 @@ def _overlay_joints(
             mirror=mirror_names[joint.name],
             driven=joint.driven
             if driver is None
-            else driver.with_renamed_joints(names),
+            else driver.with_renamed_joints(rig_names),
         )
         joints.append(overlaid_joint)
     untyped_names = frozenset(
-        names.get(name, name) for name in sidecar_roots.untyped_joints
+        rig_names.get(name, name) for name in sidecar_roots.untyped_joints
     )
     return FileJoints(
         tuple(joints),

@@ -77,17 +77,23 @@ class _JointTree:
     """Joints built so far, parents first; computes world transforms on demand."""
 
     joints: list[Joint] = field(default_factory=list)
-    indices: dict[str, int] = field(default_factory=dict)
-    world: list[PoseArrays] = field(default_factory=list)
+    index_by_name: dict[str, int] = field(default_factory=dict)
+    world_transforms: list[PoseArrays] = field(default_factory=list)
 
     def world_at_rest(self, joint: int) -> PoseArrays:
         """Return a joint's world transform at rest; identity for -1."""
         if joint < 0:
             return ORIGIN
-        for next_joint in self.joints[len(self.world) : joint + 1]:
-            parent = self.world[next_joint.parent] if next_joint.parent >= 0 else ORIGIN
-            self.world.append(world_transform_below(parent, next_joint.rest_pose))
-        return self.world[joint]
+        for next_joint in self.joints[len(self.world_transforms) : joint + 1]:
+            parent = (
+                self.world_transforms[next_joint.parent]
+                if next_joint.parent >= 0
+                else ORIGIN
+            )
+            self.world_transforms.append(
+                world_transform_below(parent, next_joint.rest_pose)
+            )
+        return self.world_transforms[joint]
 
 
 def read_joints(
@@ -99,9 +105,11 @@ def read_joints(
     tree = _JointTree()
     for name in _in_dependency_order(document, entries):
         entry = entries[name]
-        parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
+        parent = (
+            -1 if entry.parent is None else tree.index_by_name.get(entry.parent, -1)
+        )
         if entry.is_mirrored:
-            source = tree.indices[entry.source_name]
+            source = tree.index_by_name[entry.source_name]
             parent_world = tree.world_at_rest(parent)
             joint = mirror_joint(
                 tree.joints[source], tree.world_at_rest(source), parent, parent_world
@@ -114,7 +122,7 @@ def read_joints(
             joint = _read_joint(
                 document, entry.index, models[entry.index], units, parent
             )
-        tree.indices[name] = len(tree.joints)
+        tree.index_by_name[name] = len(tree.joints)
         tree.joints.append(joint)
     joints = FileJoints(
         tuple(tree.joints),
@@ -333,9 +341,9 @@ def _with_drivers(
     units: FileUnits,
 ) -> FileJoints:
     """Return the joints with their drivers; inputs are checked later."""
-    joints = {joint.name: joint for joint in file_joints.joints}
+    joint_by_name = {joint.name: joint for joint in file_joints.joints}
     file_units = (units.length, units.angle)
-    partners = {
+    mirror_by_name = {
         joint.name: joint.mirror for joint in file_joints.joints if joint.mirror
     }
     for i, model in enumerate(models):
@@ -348,13 +356,13 @@ def _with_drivers(
             document, ("joints", i, "driven"), model.driven, file_units, unit
         )
         for name in (model.name, model.mirror):
-            if driver is None or name not in joints or entries[name].index != i:
+            if driver is None or name not in joint_by_name or entries[name].index != i:
                 continue
             joint_driver = (
-                driver.mirrored(partners) if entries[name].is_mirrored else driver
+                driver.mirrored(mirror_by_name) if entries[name].is_mirrored else driver
             )
-            joints[name] = replace(joints[name], driven=joint_driver)
-    return replace(file_joints, joints=tuple(joints.values()))
+            joint_by_name[name] = replace(joint_by_name[name], driven=joint_driver)
+    return replace(file_joints, joints=tuple(joint_by_name.values()))
 
 
 def _with_mimics(

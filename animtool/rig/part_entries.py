@@ -39,7 +39,7 @@ from animtool.rig.schema import ControlModel, DriveModel, RigModel
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint
 
-_LIST_KEYS = {
+_LIST_KEY_BY_KIND = {
     "joint": "joints",
     "mesh": "meshes",
     "shape": "shapes",
@@ -79,7 +79,7 @@ class PartReader:
     ) -> tuple[Shape, ...]:
         """Return the blend shapes; check their arrays."""
         self._check_distinct("shapes", "shape")
-        names = dict.fromkeys(
+        shape_names = dict.fromkeys(
             [*inherited_names, *(shape.name for shape in self.model.shapes)]
         )
         meshes = dict.fromkeys(meshes)
@@ -96,7 +96,7 @@ class PartReader:
                 row_count = self.array_reader.row_count(vertex_indices)
             delta_shape = (row_count, 3)
             for k, name in enumerate(shape.combine):
-                self._check_known((*location, "combine", k), name, names, "shape")
+                self._check_known((*location, "combine", k), name, shape_names, "shape")
             inbetweens: list[Inbetween] = []
             weights = [entry.at for entry in shape.inbetweens]
             predecessors = dict(
@@ -187,10 +187,10 @@ class PartReader:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
             if not part or name in self.file_joints.untyped_joints:
                 continue
-            kind = self.joints[name].type
-            if kind not in DRIVEN_PARTS[part]:
+            joint_type = self.joints[name].type
+            if joint_type not in DRIVEN_PARTS[part]:
                 message = f"its control {control.name!r} drives {name}.{part}, but a "
-                message += f"{kind} joint has no {part}"
+                message += f"{joint_type} joint has no {part}"
                 hint = "keep the joint's type, or write a control with that name"
                 self.document.add("RIG023", ("from",), message, hint)
 
@@ -218,8 +218,8 @@ class PartReader:
             if chain.pole_dir is not None:
                 where = (*location, "pole_dir")
                 direction = unit_vector(self.document, where, chain.pole_dir)
-            names = (chain.name, chain.root, chain.tip, chain.goal)
-            chains.append(IkChain(*names, direction, chain.stretch))
+            chain_fields = (chain.name, chain.root, chain.tip, chain.goal)
+            chains.append(IkChain(*chain_fields, direction, chain.stretch))
         return tuple(chains)
 
     def read_attachments(
@@ -426,8 +426,8 @@ class PartReader:
         """Return a drive's target, and the unit of its values."""
         name = str(getattr(model, kind))
         if kind != "joint":
-            names = shapes if kind == "shape" else self.control_names
-            self._check_known(location, name, names, kind)
+            known_names = shapes if kind == "shape" else self.control_names
+            self._check_known(location, name, known_names, kind)
             return f"{kind}/{name}", 1.0
         joint, part = split_part(name, DRIVEN_PARTS)
         if not part:
@@ -457,8 +457,8 @@ class PartReader:
         else:
             return f"missing part of joint {name!r}", part_hint(name, DRIVEN_PARTS)
         has_type = joint not in self.file_joints.untyped_joints
-        kind = self.joints[joint].type if has_type else None
-        return message, part_hint(name, DRIVEN_PARTS, kind)
+        joint_type = self.joints[joint].type if has_type else None
+        return message, part_hint(name, DRIVEN_PARTS, joint_type)
 
     def _check_distinct(self, key: str, kind: str) -> None:
         """Record a fault for each entry that has the name of an earlier entry."""
@@ -476,18 +476,18 @@ class PartReader:
         return self._check_known(location, name, self.joints, "joint")
 
     def _check_known(
-        self, location: Location, name: str, names: Collection[str], kind: str
+        self, location: Location, name: str, known_names: Collection[str], kind: str
     ) -> bool:
         """Return whether a name exists; record a fault otherwise."""
-        if name in names:
+        if name in known_names:
             return True
-        has_unknown_name = self.document.has_unknown_name(_LIST_KEYS[kind])
+        has_unknown_name = self.document.has_unknown_name(_LIST_KEY_BY_KIND[kind])
         if not (
             self.file_joints.has_unknown_name if kind == "joint" else has_unknown_name
         ):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(
-                code, location, f"unknown {kind} {name!r}", name_hint(name, names)
+                code, location, f"unknown {kind} {name!r}", name_hint(name, known_names)
             )
         return False
 

@@ -38,7 +38,7 @@ def _normalize_name(name: str) -> str:
     return re.sub(r"[\s_-]", "", re.split(r"[.:|/]", name)[-1]).lower()
 
 
-_ARKIT_BY_NORMALIZED = {_normalize_name(name): name for name in ARKIT_SHAPES} | {
+_ARKIT_NAME_BY_NORMALIZED = {_normalize_name(name): name for name in ARKIT_SHAPES} | {
     _normalize_name(stem + side[0]): stem + side
     for stem in _SIDED_NAMES.split()
     for side in ("Left", "Right")
@@ -51,7 +51,7 @@ def arkit_name(name: str) -> str | None:
     >>> arkit_name("blendShape1.eye_blink_L"), arkit_name("JawOpen"), arkit_name("grin")
     ('eyeBlinkLeft', 'jawOpen', None)
     """
-    return _ARKIT_BY_NORMALIZED.get(_normalize_name(name))
+    return _ARKIT_NAME_BY_NORMALIZED.get(_normalize_name(name))
 
 
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:

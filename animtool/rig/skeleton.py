@@ -278,18 +278,18 @@ class Rig:
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).joint_hint("lowr")
         "did you mean 'lower'?"
         """
-        names = [*other_names, *self.names]
-        similar_name = most_similar(name, names)
+        known_names = [*other_names, *self.names]
+        similar_name = most_similar(name, known_names)
         if not self.joints or similar_name in other_names:
-            return name_hint(name, names)
+            return name_hint(name, known_names)
         part_names: Any = load_object("animtool.retarget.anatomy:joints_of_part")
         part_text, joints = part_names(self, name)
         if not joints or joints == [similar_name]:
-            return name_hint(name, names)
-        subject = "joint" if len(joints) == 1 else "joints"
+            return name_hint(name, known_names)
+        noun = "joint" if len(joints) == 1 else "joints"
         verb = "is" if len(joints) == 1 else "are"
         joint_text = listed([repr(name) for name in joints])
-        return f"the {subject} of the {part_text} {verb} {joint_text}"
+        return f"the {noun} of the {part_text} {verb} {joint_text}"
 
     def ik(self, *goals: Any, **options: Any) -> Any:
         """Return an `animtool.ik.Session` that solves goals one pose per call.
@@ -300,7 +300,7 @@ class Rig:
             options: Arguments of `animtool.ik.Session`.
 
         Raises:
-            OptionError: As of `animtool.ik.Session`.
+            OptionError: As for `animtool.ik.Session`.
         """
         session: Any = load_object("animtool.ik.session:Session")
         return session(self, *goals, **options)

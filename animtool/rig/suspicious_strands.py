@@ -105,7 +105,7 @@ def _bind_points(mesh: Mesh, archives: Archives) -> FloatArray:
 def _nearest_vertices(
     points: FloatArray, vertices: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return the distances of points ``(N, 3)`` to the nearest vertices, and these."""
+    """Return the distance and index of the vertex nearest to each point ``(N, 3)``."""
     squared_distances = np.full(len(points), np.inf)
     nearest_indices = np.zeros(len(points), np.int64)
     chunk_size = max(1, CHUNK_SIZE // max(1, len(points)))
