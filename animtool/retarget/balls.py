@@ -21,7 +21,9 @@ MIN_SHIN_COSINE = 0.97
 METATARSAL_START = 0.15
 
 
-def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
+def find_balls(
+    skeleton: RoledSkeleton, other_skeleton: RoledSkeleton
+) -> dict[str, Ball]:
     """Return the ball of each foot of a skeleton, by side.
 
     The ball is where the toes begin: the middle of the foremost toe joints. A foot
@@ -31,15 +33,19 @@ def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]
     """
     balls = {}
     for side in "lr":
-        leg, other_leg = skeleton.leg(side), other.leg(side)
+        leg, other_leg = skeleton.leg(side), other_skeleton.leg(side)
         if leg is None:
             continue
         foot, toes = leg[2], _first_toe_joints(skeleton, side)
         if toes:
             ankle_to_ball = _ankle_to_ball(skeleton, foot, toes)
         else:
-            other_shape = None if other_leg is None else _foot_shape(other, side)
-            leg_ratio = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
+            other_shape = (
+                None if other_leg is None else _foot_shape(other_skeleton, side)
+            )
+            leg_ratio = skeleton.leg_length(side) / (
+                other_skeleton.leg_length(side) or 1.0
+            )
             toeless_ball = _toeless_ball(skeleton, side, other_shape, leg_ratio)
             if toeless_ball is None:
                 continue

@@ -240,10 +240,12 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
         for i, name in enumerate(names):
             if name not in joints_by_name[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
-                other = "target" if side == "source" else "source"
+                other_side = "target" if side == "source" else "source"
                 hint = name_hint(name, joints_by_name[side])
-                if name in joints_by_name[other]:
-                    hint = f"it is a joint of the {other} {rigs[other].name!r}"
+                if name in joints_by_name[other_side]:
+                    hint = (
+                        f"it is a joint of the {other_side} {rigs[other_side].name!r}"
+                    )
                 document.add("MAP001", (*location, i), message, hint)
         return tuple(
             joints_by_name[side][n] for n in names if n in joints_by_name[side]
@@ -286,22 +288,29 @@ def _check_distinct_joints(
     entry_of_joint: dict[int, int] = {}
     for i, entry in enumerate(entries):
         for j in entry.target:
-            other = entry_of_joint.setdefault(j, i)
-            if other != i:
-                message = f"joints[{other}] has the same joint {target.names[j]!r} of "
+            other_index = entry_of_joint.setdefault(j, i)
+            if other_index != i:
+                message = (
+                    f"joints[{other_index}] has the same joint {target.names[j]!r} of "
+                )
                 message += f"{target.name!r} by another name"
                 hint = "remove one of the two entries"
                 document.add("MAP002", ("joints", i, "target"), message, hint)
 
 
 def _refuse_swapped_map(
-    file: MapFile, rigs: Mapping[str, Rig], joints: Mapping[str, Mapping[str, int]]
+    file: MapFile,
+    rigs: Mapping[str, Rig],
+    joints_by_side: Mapping[str, Mapping[str, int]],
 ) -> None:
     """Raise a single fault if a map has source and target swapped (MAP001)."""
     document, entries = file.document, file.model.joints
-    for side, other in (("source", "target"), ("target", "source")):
+    for side, other_side in (("source", "target"), ("target", "source")):
         names = [name for entry in entries for name in _name_list(getattr(entry, side))]
-        if not all(n in joints[other] and n not in joints[side] for n in names):
+        if not all(
+            n in joints_by_side[other_side] and n not in joints_by_side[side]
+            for n in names
+        ):
             return
     name = names[0]
     message = "source and target are swapped in this map: its targets, such as "
@@ -318,9 +327,9 @@ def _name_list(value: str | list[str]) -> list[str]:
 
 def _joints_by_name(rig: Rig) -> Mapping[str, int]:
     """Return a lookup of joint indices by every name that matches a joint."""
-    joints: dict[str, int] = {}
+    joint_by_name: dict[str, int] = {}
     names_in_file = [joint.source_name or joint.name for joint in rig.joints]
     for names in (rig.names, names_in_file, strip_common_prefix(names_in_file)):
         for j, name in enumerate(names):
-            joints.setdefault(name, j)
-    return joints
+            joint_by_name.setdefault(name, j)
+    return joint_by_name

@@ -24,27 +24,27 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
         stack += [[*path, child] for child in children[::-1]]
     if not paths:
         return {}
-    digits = _assign_digits(body, paths, hands[-1])
+    digits = _digits_of_paths(body, paths, hands[-1])
     # Shared joints belong to the shorter finger, and to a finger before a thumb.
     order = sorted(
         range(len(paths)), key=lambda i: (len(paths[i]), digits[i] == "thumb", i)
     )
-    joints_of_digit: dict[int, list[int]] = {}
+    joints_by_path: dict[int, list[int]] = {}
     assigned_joints: set[int] = set()
     for i in order:
-        joints_of_digit[i] = [j for j in paths[i] if j not in assigned_joints]
+        joints_by_path[i] = [j for j in paths[i] if j not in assigned_joints]
         assigned_joints |= set(paths[i])
-    thumb_paths = (joints_of_digit[i] for i in order if digits[i] == "thumb")
+    thumb_paths = (joints_by_path[i] for i in order if digits[i] == "thumb")
     thumb_length = next(map(len, thumb_paths), 3)
     roles: dict[int, str] = {}
     for i in order:
         if digits[i]:
-            path = joints_of_digit[i]
+            path = joints_by_path[i]
             roles |= _phalanx_roles(body, path, digits[i], side, thumb_length)
     return roles
 
 
-def _assign_digits(
+def _digits_of_paths(
     body: SkeletonTree, paths: Sequence[list[int]], hand: int
 ) -> list[str]:
     """Return the finger of each joint path, by its names, else by its position."""

@@ -261,7 +261,9 @@ def _preset_hint(name: str) -> str:
     """
     names = sorted(presets())
     word = name.casefold()
-    matches = [other for other in names if len(word) > 1 and word in other]
+    matches = [
+        preset_name for preset_name in names if len(word) > 1 and word in preset_name
+    ]
     if len(matches) > MAX_SUGGESTED_PRESETS or not matches:
         nearest = most_similar(name, names)
         matches = [] if nearest is None else [nearest]
@@ -281,7 +283,7 @@ def best_preset(
     names: Sequence[str], parsed_names: Sequence[ParsedName]
 ) -> Preset | None:
     """Return the convention that matches most names; None if too few match any."""
-    scores = {
+    score_by_preset = {
         name: (
             # Full names, including prefixes, distinguish conventions that share words.
             matched_name_count(preset, parsed_names)
@@ -290,8 +292,8 @@ def best_preset(
         )
         for name, preset in presets().items()
     }
-    name = max(scores, key=lambda candidate: scores[candidate])
-    return presets()[name] if scores[name][0] >= _MIN_MATCHED_NAMES else None
+    name = max(score_by_preset, key=lambda candidate: score_by_preset[candidate])
+    return presets()[name] if score_by_preset[name][0] >= _MIN_MATCHED_NAMES else None
 
 
 def role_votes(
@@ -323,10 +325,14 @@ def role_votes(
 @cache
 def _limb_roles_by_key() -> Mapping[str, frozenset[str]]:
     """Return the limb roles that any convention assigns to each name key."""
-    roles: dict[str, set[str]] = {}
+    roles_by_key: dict[str, set[str]] = {}
     for preset in presets().values():
         for key, base_roles in preset.roles_by_key.items():
-            roles.setdefault(key, set()).update(base_roles & {*ARM_ROLES, *LEG_ROLES})
+            roles_by_key.setdefault(key, set()).update(
+                base_roles & {*ARM_ROLES, *LEG_ROLES}
+            )
     return {
-        key: frozenset(base_roles) for key, base_roles in roles.items() if base_roles
+        key: frozenset(base_roles)
+        for key, base_roles in roles_by_key.items()
+        if base_roles
     }

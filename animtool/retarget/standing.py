@@ -439,8 +439,10 @@ def unit_warnings(rig: Rig, file_format: object) -> list[Fault]:
     better_unit = fitting_unit(rig.names, size, rig.meters_per_unit)
     if better_unit is None or file_format not in SIZED_FORMATS:
         return []
-    texts = size_warning_texts(size, rig.meters_per_unit, better_unit, str(file_format))
-    return [warning("MOT213", *texts)]
+    message_and_hint = size_warning_texts(
+        size, rig.meters_per_unit, better_unit, str(file_format)
+    )
+    return [warning("MOT213", *message_and_hint)]
 
 
 def _other_axis(up: UpAxis) -> UpAxis:

@@ -194,9 +194,9 @@ class SkeletonTree:
 
     def widest_branching(self, path: Sequence[int]) -> tuple[int, int]:
         """Return the joint of a path with the most branches, and their number."""
-        counts = [len(self.limb_children(j)) for j in path]
-        largest = max(counts)
-        return path[counts.index(largest)], largest
+        branch_counts = [len(self.limb_children(j)) for j in path]
+        largest = max(branch_counts)
+        return path[branch_counts.index(largest)], largest
 
 
 def find_limb_pairs(
