@@ -130,7 +130,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
 
 
 def _snap_to_constant(values: FloatArray, default: float) -> FloatArray:
-    """Remove rounding noise: snap values to the default or to a constant."""
+    """Return values ``(F,)`` without rounding noise about the default or a constant."""
     tolerance = RELATIVE_ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
     values = np.where(np.abs(values - default) <= tolerance, default, values)
     is_constant = np.ptp(values) <= tolerance

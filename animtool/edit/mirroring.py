@@ -330,7 +330,7 @@ def _asymmetry_warnings(
 def _check_requested_pairs(
     rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray
 ) -> None:
-    """Raise if the parents of a stated pair are not partners."""
+    """Raise if the parents of two joints of a requested pair are not partners."""
     faults = []
     for a, b in pairs:
         i, j = (rig.joints[rig.index(name)].parent for name in (a, b))
@@ -461,7 +461,7 @@ def _mirrored_blocks(
 def _swap_partners(
     channel: Channel | None, partners: IntArray, map_values: _ValueMap
 ) -> Channel | None:
-    """Mirror a channel; return None, or a channel of other rows, unchanged."""
+    """Return a mirrored channel; None or a channel with other rows stays unchanged."""
     if channel is None or len(partners) != len(channel.rest):
         return channel
     return _mirror_channel(channel, partners, map_values)

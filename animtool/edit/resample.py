@@ -236,7 +236,7 @@ def dropped_notice(dropped_frames: Fraction, fps: Fraction, last: Fraction) -> F
 def single_frame_warning(
     times: SampleTimes, clock: Clock, fps: Fraction
 ) -> list[Fault]:
-    """Warn if resampling leaves one frame of a take with several frames (TAKE010)."""
+    """Return a warning if resampling leaves one frame of several (TAKE010)."""
     if len(times.codes) != 1 or clock.count < 2:
         return []
     message = f"1 of {clock.count} frames remains, {frame_label(times.first)}: the "

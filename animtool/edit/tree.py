@@ -74,7 +74,7 @@ class JointTransforms:
 
 
 def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
-    """Replace a joint's local transforms; its children keep their world transforms."""
+    """Return a take with other transforms of a joint; its children stay in place."""
     motion = take.motion
     child_indices = np.flatnonzero(take.rig.parents == joint)
     joint_and_children = np.concatenate([[joint], child_indices])
@@ -117,7 +117,7 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
 
 
 def insert_joint(take: Take, name: str, child: int) -> Take:
-    """Insert a static joint between a joint and its parent.
+    """Return a take with a static joint inserted between a joint and its parent.
 
     The new joint takes the child's index; the child's index grows by one.
     """
@@ -140,7 +140,7 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
 
 
 def remove_joint(take: Take, joint: int) -> Take:
-    """Remove a joint that coincides with its parent.
+    """Return a take without a joint that coincides with its parent.
 
     Its children move to its parent and take over its scale and rest pose.
     """

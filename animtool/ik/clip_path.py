@@ -60,7 +60,7 @@ class FollowOptions:
 
 
 class ClipPath:
-    """The frames of a clip, and the costs that compare paths through them.
+    """The frames of a clip, and the costs by which paths through them are compared.
 
     Attributes:
         problem: Goals and joints.

@@ -201,7 +201,7 @@ def _supported_controls(rig: Rig, joint_names: Collection[str]) -> tuple[Control
 
 
 def with_ball_joints(rig: Rig) -> Rig:
-    """Turn all joints but the roots into balls, if all joints of a rig are free.
+    """Return a rig with balls for all joints but the roots, if all its joints are free.
 
     In files without joint types, such as USD of other tools, all joints are free: then
     all but the roots become balls.

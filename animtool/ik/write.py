@@ -124,7 +124,7 @@ class _TargetsWriter:
 
 
 def _option_lines(track: GoalTrack, goal: Goal) -> Iterator[str]:
-    """Yield the lines of a goal's options that differ from the defaults."""
+    """Yield the lines of a goal's options that differ from their defaults."""
     stretch = 0.0 if track.chain is None else track.chain.stretch
     for key, value, default in (
         ("priority", goal.priority, 0),

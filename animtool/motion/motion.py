@@ -147,7 +147,7 @@ rename_attributes(Channel, still="static")
 
 
 def _kernel_arrays(channel: Channel) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Return the kernel arguments of a channel."""
+    """Return the arguments that pass a channel to a kernel: rest, animated, values."""
     rest, values = (np.ascontiguousarray(a) for a in (channel.rest, channel.values))
     return rest, np.asarray(channel.animated, np.int64), values
 

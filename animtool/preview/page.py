@@ -101,9 +101,9 @@ def page_parts(
     for template_part in re.split(r"(\{\{\w+\}\})", template):
         name = template_part.strip("{}")
         if template_part == "{{blocks}}":
-            for number, block in enumerate(blocks):
+            for block_index, block in enumerate(blocks):
                 yield (
-                    f'<script type="text/plain" class="block" id="b{number}">'
+                    f'<script type="text/plain" class="block" id="b{block_index}">'
                     f"{block}</script>\n"
                 ).encode()
         elif template_part.startswith("{{") and name in insertions:

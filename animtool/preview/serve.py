@@ -94,8 +94,8 @@ class WatchedPage:
     def polled_state(self) -> bytes:
         """Return the version of the page and the last error as JSON."""
         with self._lock:
-            values = {"version": self.version, "error": self.error}
-        return json.dumps(values).encode()
+            state = {"version": self.version, "error": self.error}
+        return json.dumps(state).encode()
 
 
 class _Handler(BaseHTTPRequestHandler):

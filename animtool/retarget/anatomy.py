@@ -167,7 +167,7 @@ def _preset_warning(
 
 
 def joints_of_part(rig: Rig, name: str) -> tuple[str, list[str]]:
-    """Return the part of the body that a name means, and the joints that a rig has.
+    """Return the part of the body that a name means, and the rig's joints of that part.
 
     Both are empty for a name without a known meaning, or if the rig has no such part.
     A name without a side means both sides.
@@ -347,7 +347,7 @@ def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> Non
 
 
 def _find_by_name(search: _RoleSearch, role: str) -> int:
-    """Return the topmost joint whose name votes most for a role, or -1."""
+    """Return the topmost of the joints whose names suggest a role most, or -1."""
     weights = [
         0.0 if search.roles[j] else votes.get(role, 0.0)
         for j, votes in enumerate(search.body.votes)
@@ -414,7 +414,7 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
 def _split_hand(
     search: _RoleSearch, path: list[int], side: str
 ) -> tuple[list[int], int]:
-    """Split an arm into the chain without fingers, and the joint that forks."""
+    """Return an arm's joints down to the hand, and the joint where the fingers fork."""
     votes = search.body.votes
     hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hand_indices:

@@ -110,7 +110,7 @@ def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
 def _vector_to_tip(
     skeleton: RoledSkeleton, joints: Sequence[int], ankle: FloatArray
 ) -> FloatArray | None:
-    """Return the vector to the farthest end of a joint chain ``(3,)``."""
+    """Return the vector from an ankle to the farthest end of a joint chain, or None."""
     rig = skeleton.rig
     all_joints, top_joints = range(len(rig.joints)), {*joints}
     descendants = [j for j in all_joints if not top_joints.isdisjoint(rig.upwards(j))]
@@ -158,7 +158,7 @@ def _toeless_ball(
 def _foot_end(
     skeleton: RoledSkeleton, leg: tuple[int, int, int, int], ankle: FloatArray
 ) -> FloatArray | None:
-    """Return the vector to the end of a foot without toes ``(3,)``; None if unknown."""
+    """Return the vector from the ankle to the end of a toeless foot, or None."""
     rig, (_, shin, foot, _) = skeleton.rig, leg
     rotation = skeleton.rotations[foot]
     offsets = [so3.rotate(rotation, np.asarray(tip)) for tip in rig.joints[foot].tips]

@@ -323,7 +323,10 @@ def _raise_above_ground(
 def fill_between(
     values: FloatArray, is_fixed: BoolArray, fps: float, fade: float = FADE_SECONDS
 ) -> None:
-    """Fill rows ``(F, K)`` that are not fixed with a smooth fade to 0 in a time [s]."""
+    """Replace rows ``(F, K)`` that are not fixed by smooth ones that fade to 0.
+
+    The rows fade over about ``fade`` [s] away from the fixed rows; ``values`` change.
+    """
     if is_fixed.all() or not is_fixed.any():
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)

@@ -145,7 +145,7 @@ def parse_map_document(document: Document) -> MapFile:
 
 
 def _check_distinct_targets(document: Document, model: MapModel) -> None:
-    """Record target joints of two entries, or twice in one (MAP002)."""
+    """Record target joints that occur in two entries, or twice in one (MAP002)."""
     entry_of_joint: dict[str, int] = {}
     for i, entry in enumerate(model.joints):
         for name in dict.fromkeys(_name_list(entry.target)):
@@ -163,7 +163,7 @@ def _check_distinct_targets(document: Document, model: MapModel) -> None:
 def _add_repeated_target(
     document: Document, model: MapModel, name: str, indices: tuple[int, int]
 ) -> None:
-    """Record a target of two entries, with the joint that one likely means (MAP002)."""
+    """Record a repeated target, with the joint that was probably meant (MAP002)."""
     entries = [model.joints[i] for i in indices]
     sources = [", ".join(_name_list(entry.source)) for entry in entries]
     targets = {n for entry in model.joints for n in _name_list(entry.target)}
@@ -188,7 +188,7 @@ def _add_repeated_target(
 
 
 def _entry_side(entry: MapEntryModel) -> str:
-    """Return the side that the role of an entry states, else its source joints."""
+    """Return the side that an entry's role states, else that of its source joints."""
     if entry.role in ROLES:
         return entry.role[-1] if entry.role[-2:] in {"_l", "_r"} else ""
     sides = {name_side(name) for name in _name_list(entry.source)}
@@ -196,7 +196,7 @@ def _entry_side(entry: MapEntryModel) -> str:
 
 
 def _check_distinct_twists(document: Document, model: MapModel) -> None:
-    """Record joints of two entries of twists (MAP002)."""
+    """Record joints that two twist entries name (MAP002)."""
     entry_of_joint: dict[str, int] = {}
     for i, twist in enumerate(model.twists or ()):
         j = entry_of_joint.setdefault(twist.joint, i)

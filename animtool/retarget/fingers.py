@@ -12,7 +12,7 @@ from animtool.retarget.structure import SkeletonTree
 
 
 def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[int, str]:
-    """Return the roles of the joints below the joints of a hand."""
+    """Return the role of each joint below the joints of a hand, by joint index."""
     paths: list[list[int]] = []
     finger_roots = [child for hand in hands for child in body.limb_children(hand)]
     stack = [[child] for child in finger_roots[::-1] if child not in hands]

@@ -88,7 +88,7 @@ def fast_motion_warning(
 
 
 class GroundCheck:
-    """Collects the heights of planted feet over those at rest, block by block.
+    """Collects how far planted feet are above their height at rest, block by block.
 
     Only captures of rigs that stand upright on 0 of the up axis at rest are checked.
     """

@@ -218,7 +218,7 @@ class Retargeting:
     def _plant_feet(
         self, legs: str, tracks: Sequence[LegTracks], feet: Sequence[Foot], fps: float
     ) -> PlacedFeet:
-        """Return the planted feet; store hip positions and knee swivels that reach."""
+        """Return planted feet; store hip positions and knee swivels that reach them."""
         transfer = self.transfer
         up = up_index(transfer.target.rig)
         # The target's ground is the source's, scaled.

@@ -80,7 +80,7 @@ class Preset:
 
     @property
     def full_names(self) -> frozenset[str]:
-        """All joint names of the convention, as spelled."""
+        """All joint names of the convention, in their original spelling."""
         return frozenset(
             name for names in self.names_by_role.values() for name in names
         )
@@ -148,7 +148,7 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
 
 
 def _strip_side_letter(name: str, partner_name: str) -> str:
-    """Remove the only letter that differs from a partner's name; "" for no partner."""
+    """Return a name without the letter that its partner's differs in; "" if not one."""
     letters = enumerate(zip(name, partner_name, strict=False))
     differing_indices = [i for i, (a, b) in letters if a != b]
     if len(name) != len(partner_name) or len(differing_indices) != 1:
@@ -244,7 +244,7 @@ def find_preset(name: str, where: str | None = None) -> Preset:
 def check_presets(
     *, preset: str | None = None, target_preset: str | None = None
 ) -> None:
-    """Raise if options of these names have unknown presets (MAP003)."""
+    """Raise if ``preset`` or ``target_preset`` is not a known preset (MAP003)."""
     refusals = RefusalCollector()
     for option, name in (("preset", preset), ("target_preset", target_preset)):
         with refusals.collect():
@@ -254,7 +254,7 @@ def check_presets(
 
 
 def _preset_hint(name: str) -> str:
-    """Return a hint with the presets that could be meant, or where all are listed.
+    """Return a hint that suggests similar presets, or says where all are listed.
 
     >>> _preset_hint("rigify"), _preset_hint("cmu")
     ("did you mean 'rigify_metarig'?", "did you mean 'cmu_bvh' or 'cmu_daz_bvh'?")
@@ -274,7 +274,7 @@ def _preset_hint(name: str) -> str:
 
 
 def matched_name_count(preset: Preset, parsed_names: Sequence[ParsedName]) -> int:
-    """Return how many different names of joints a convention has."""
+    """Return how many distinct joint names belong to a convention."""
     name_keys = {name.name_key for name in parsed_names if name.kind != CONTROL}
     return len(name_keys & preset.roles_by_key.keys())
 

@@ -379,7 +379,7 @@ class _PairCollector:
                 self.pairs[joint] = JointPair(other, joint, "", RoleSource.NAME, 1.0)
 
     def add_role(self, role: str, mode: MapMode) -> None:
-        """Pair the target joints of a role that are unpaired with its source joints.
+        """Pair the unpaired target joints of a role with its source joints.
 
         The mode ``names`` only uses joints whose name tells the role; ``rename`` pairs
         them one to one and uses no source joint twice.

@@ -72,7 +72,7 @@ class PropTracks:
         self._times: list[Channel] = []
 
     def record_times(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks, recording their track times."""
+        """Yield the blocks, and record their track times."""
         for block in blocks:
             assert block.track_times is not None
             self._times.append(block.track_times)

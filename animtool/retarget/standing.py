@@ -272,7 +272,7 @@ def _standing_axis(
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
-    """Return whether any sampled pose is taller along the other axis than along up."""
+    """Return whether any sampled pose is longer along the other axis than along up."""
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLE_COUNT).astype(int)

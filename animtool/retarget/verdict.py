@@ -30,7 +30,7 @@ LIKELY_SCALES = (1 / 9, 9.0)
 
 
 def is_likely_scale(scale: float) -> bool:
-    """Return whether rig and take differ in size by less than units do."""
+    """Return whether the sizes of rig and take are too similar for different units."""
     smallest, largest = LIKELY_SCALES
     return smallest <= scale <= largest
 

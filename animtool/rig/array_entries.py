@@ -106,7 +106,7 @@ class ArrayReader:
         return shape[0] if shape else None
 
     def array_shape(self, source: ArraySource) -> tuple[int, ...] | None:
-        """Return the shape of an array; None if it cannot be read."""
+        """Return the shape of the array of a reference; None if it cannot be read."""
         if isinstance(source, LoadedArray):
             return None if source is NO_ARRAY else source.values.shape
         try:
@@ -168,7 +168,7 @@ def _value_fault(
 def _index_hint(
     role: str, values: npt.NDArray[Any], part_count: int | None
 ) -> str | None:
-    """Return how to correct indices out of range; None if that is unclear."""
+    """Return a hint how to correct indices out of range; None if that is unclear."""
     if part_count is None or role not in _INTEGER_ROLES:
         return None
     if role == "faces":

@@ -30,7 +30,7 @@ UNIT_RATIOS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 
 
 def find_feet(joint_names: tuple[str, ...] | list[str]) -> IntArray:
-    """Return the indices of foot joints.
+    """Return the indices of the joints whose names are those of feet ``(N,)``.
 
     >>> find_feet(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]

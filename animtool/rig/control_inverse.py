@@ -245,7 +245,7 @@ class _GroupProblem:
             yield self._with_goals(shifted_goals)
 
     def _with_goals(self, targets: Mapping[str, FloatArray]) -> _GroupProblem:
-        """Return the problem with other goals: target values by name."""
+        """Return the problem with other target values as goals, by target name."""
         return _GroupProblem(
             self.controls, targets, self.tolerances, self.keyed_targets
         )

@@ -203,7 +203,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
 def _merge_shapes(
     inherited_shapes: tuple[Shape, ...], new_shapes: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
-    """Merge shapes; an entry with only a driver is added to the inherited shape."""
+    """Return inherited and new shapes; an entry of only a driver changes its shape."""
     inherited_names = {shape.name for shape in inherited_shapes}
     drivers = {
         shape.name: shape.driven

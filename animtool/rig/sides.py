@@ -171,7 +171,7 @@ def _joint_depths(parents: Sequence[int]) -> list[int]:
 def _candidate_pairs(
     names: Sequence[str], indices_by_name: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Yield each possible pair: depth, rank of the naming, left and right index."""
+    """Yield each possible pair as depth, rank of the naming, left and right index."""
     indices_by_fold: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         indices_by_fold.setdefault(name.casefold(), []).append(i)

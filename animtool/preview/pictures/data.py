@@ -45,11 +45,11 @@ class StreamReader:
         """Return the values of a stream at a sample, clamped to the last sample."""
         if stream in self._static_values:
             return self._static_values[stream]
-        spans = self._entries[stream]["block"]
-        if not spans:
+        block_spans = self._entries[stream]["block"]
+        if not block_spans:
             return np.zeros(0, np.float32)
-        later_spans = (span for span in spans if sample < span[1] + span[2])
-        block, first, sample_count = next(later_spans, spans[-1])
+        later_spans = (span for span in block_spans if sample < span[1] + span[2])
+        block, first, sample_count = next(later_spans, block_spans[-1])
         values = self._decoded_block(block)[stream]
         value: Array = values[min(max(sample - first, 0), sample_count - 1)]
         return value
@@ -60,23 +60,25 @@ class StreamReader:
             self._decoded_blocks.move_to_end(block)
             return self._decoded_blocks[block]
         block_bytes = zlib.decompress(base64.b64decode(self._block_texts[block]), -15)
-        values, start = {}, 0
+        values_by_stream, begin = {}, 0
         for entry, sample_count in self._streams_by_block[block]:
             item_bytes = np.dtype(DTYPES[entry["kind"]]).itemsize
-            end = start + entry["width"] * sample_count * item_bytes
-            stream_values = _unpack_stream(block_bytes[start:end], entry, sample_count)
-            start = end
-            values[entry["id"]] = stream_values
+            end = begin + entry["width"] * sample_count * item_bytes
+            stream_values = _unpack_stream(block_bytes[begin:end], entry, sample_count)
+            begin = end
+            values_by_stream[entry["id"]] = stream_values
             if sum(span[2] for span in entry["block"]) == 1:
                 self._static_values[entry["id"]] = stream_values[0]
-        self._decoded_blocks[block] = values
-        self._cached_bytes += _size_of(values)
+        self._decoded_blocks[block] = values_by_stream
+        self._cached_bytes += _total_bytes(values_by_stream)
         while self._cached_bytes > CACHE_BYTES and len(self._decoded_blocks) > 1:
-            self._cached_bytes -= _size_of(self._decoded_blocks.popitem(last=False)[1])
-        return values
+            self._cached_bytes -= _total_bytes(
+                self._decoded_blocks.popitem(last=False)[1]
+            )
+        return values_by_stream
 
 
-def _size_of(values: dict[int, Array]) -> int:
+def _total_bytes(values: dict[int, Array]) -> int:
     """Return the total size of arrays [byte]."""
     return sum(array.nbytes for array in values.values())
 
@@ -87,9 +89,9 @@ def _unpack_stream(
     """Return the values of one stream of a block ``(samples, width)``."""
     dtype, width = np.dtype(DTYPES[entry["kind"]]), entry["width"]
     columns, rows = (1, width) if sample_count == 1 else (width, sample_count)
-    planes = np.frombuffer(stream_bytes, np.uint8)
-    planes = planes.reshape(columns, dtype.itemsize, rows)
-    integers = np.ascontiguousarray(planes.swapaxes(1, 2)).view(dtype)[..., 0]
+    byte_planes = np.frombuffer(stream_bytes, np.uint8)
+    byte_planes = byte_planes.reshape(columns, dtype.itemsize, rows)
+    integers = np.ascontiguousarray(byte_planes.swapaxes(1, 2)).view(dtype)[..., 0]
     if entry["coding"] == "delta":
         deltas = integers.view(f"<u{dtype.itemsize}")
         integers = np.cumsum(deltas, axis=1, dtype=deltas.dtype).view(dtype)

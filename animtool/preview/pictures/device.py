@@ -171,8 +171,8 @@ class Framebuffer:
         draw(self._samples_buffer)
         gl.copy_framebuffer(self._pixel_buffer, self._samples_buffer)
         width, height = self.size
-        raw = self._pixel_buffer.read(components=3, alignment=1)
-        return np.frombuffer(raw, np.uint8).reshape(height, width, 3)[::-1]
+        pixel_bytes = self._pixel_buffer.read(components=3, alignment=1)
+        return np.frombuffer(pixel_bytes, np.uint8).reshape(height, width, 3)[::-1]
 
 
 def _create_context(graphics_module: ModuleType) -> Any:
