@@ -69,7 +69,7 @@ class _BlockSampler:
     channels: Sequence[ClipChannel]
     rig: Rig
     clamp: bool
-    _worst_notices: dict[tuple[str, str], ClipNotice] = field(
+    _worst_notice_by_target: dict[tuple[str, str], ClipNotice] = field(
         default_factory=dict, init=False
     )
     _driver_run: DriverRun | None = field(default=None, init=False)
@@ -91,17 +91,17 @@ class _BlockSampler:
         for notice in sampled_motion.clip_notices:
             key = notice.fault.code, notice.target
             if (
-                key not in self._worst_notices
-                or notice.excess > self._worst_notices[key].excess
+                key not in self._worst_notice_by_target
+                or notice.excess > self._worst_notice_by_target[key].excess
             ):
-                self._worst_notices[key] = notice
+                self._worst_notice_by_target[key] = notice
         return sampled_motion.motion
 
     def notices(self, times: FloatArray) -> list[ClipNotice]:
         """Return the worst notice of each target, given the ``times`` of all blocks."""
         notices = [
             with_keys(notice, self.channels, self.rig, times)
-            for notice in self._worst_notices.values()
+            for notice in self._worst_notice_by_target.values()
         ]
         driver_notices = (
             [] if self._driver_run is None else self._driver_run.located_notices()
@@ -134,7 +134,7 @@ class _BlockLayout:
     """Masks of the rows that move in any block, by channel name."""
 
     is_moving_by_part: dict[str, BoolArray] = field(default_factory=dict)
-    _rest_values: dict[str, FloatArray] = field(default_factory=dict, init=False)
+    _rest_by_channel: dict[str, FloatArray] = field(default_factory=dict, init=False)
     # Rotations at the end of the block before.
     _last_rotations: FloatArray = field(default_factory=so3.IDENTITY.copy, init=False)
 
@@ -159,13 +159,13 @@ class _BlockLayout:
 
         The first ``skipped_frames`` of the block are in the previous block already.
         """
-        channels: dict[str, Any] = {
+        channel_by_name: dict[str, Any] = {
             part: self._arrange_channel(
                 part, getattr(motion, part), motion.frames, skipped_frames
             )
             for part in self.is_moving_by_part
         }
-        return replace(motion, **channels)
+        return replace(motion, **channel_by_name)
 
     def _arrange_channel(
         self, part: str, channel: Channel | None, frames: int, skipped_frames: int
@@ -174,7 +174,7 @@ class _BlockLayout:
         if channel is None:
             row_count = len(self.is_moving_by_part[part])
             channel = Channel.static(np.zeros((row_count, 1)), frames)
-        rest = self._rest_values.setdefault(part, channel.rest)
+        rest = self._rest_by_channel.setdefault(part, channel.rest)
         animated_rows = np.flatnonzero(self.is_moving_by_part[part])
         is_complete = np.array_equal(channel.animated, animated_rows)
         values = channel.values if is_complete else channel.gather(animated_rows)

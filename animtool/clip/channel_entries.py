@@ -344,8 +344,12 @@ def _form_hint(model: CurveModel, component_count: int) -> str:
     """Return a hint with the form of a key's value."""
     if component_count == 1:
         return "write one number"
-    forms = {3: "x, y, z", 4: "w, x, y, z"}
-    form = ", ".join(model.euler.lower()) if model.euler else forms[component_count]
+    form_by_width = {3: "x, y, z", 4: "w, x, y, z"}
+    form = (
+        ", ".join(model.euler.lower())
+        if model.euler
+        else form_by_width[component_count]
+    )
     return f"write [{form}]"
 
 

@@ -316,25 +316,29 @@ def evaluate_channels(
     There is one channel per target. Rotations are quaternions (x, y, z, w); Euler
     angles are converted. Ascending times are fastest.
     """
-    values: dict[str, FloatArray] = {}
+    values_by_target: dict[str, FloatArray] = {}
     number_channels: list[ClipChannel] = []
     quaternion_channels: list[ClipChannel] = []
     for channel in channels:
         if is_static(channel):
-            values[channel.target] = _as_quaternions(channel, channel.values[:1])
+            values_by_target[channel.target] = _as_quaternions(
+                channel, channel.values[:1]
+            )
         elif channel.values.shape[1] == 4:
             quaternion_channels.append(channel)
         else:
             number_channels.append(channel)
-    values |= _evaluate_rotation_channels(quaternion_channels, times)
+    values_by_target |= _evaluate_rotation_channels(quaternion_channels, times)
     if number_channels:
         curve_values = evaluate(component_curves(number_channels), times)
         start = 0
         for channel in number_channels:
             end = start + channel.values.shape[1]
-            values[channel.target] = _as_quaternions(channel, curve_values[start:end].T)
+            values_by_target[channel.target] = _as_quaternions(
+                channel, curve_values[start:end].T
+            )
             start = end
-    return {channel.target: values[channel.target] for channel in channels}
+    return {channel.target: values_by_target[channel.target] for channel in channels}
 
 
 def _evaluate_rotation_channels(
@@ -348,7 +352,7 @@ def _evaluate_rotation_channels(
             channel
         )
     batch_size = max(1, ROTATION_BATCH_SIZE // max(len(times), 1))
-    values: dict[str, FloatArray] = {}
+    values_by_target: dict[str, FloatArray] = {}
     batches = (
         same_timing[start : start + batch_size]
         for same_timing in channels_by_timing.values()
@@ -365,8 +369,10 @@ def _evaluate_rotation_channels(
             first_channel.post,
         )
         batch_rotations = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {c.target: r for c, r in zip(batch, batch_rotations, strict=True)}
-    return values
+        values_by_target |= {
+            c.target: r for c, r in zip(batch, batch_rotations, strict=True)
+        }
+    return values_by_target
 
 
 def is_static(channel: ClipChannel) -> bool:

@@ -61,13 +61,15 @@ def solve_take_controls(
     """
     frame_count, controls = take.motion.frames, keyable_controls(rig)
     take_controls = take.motion.controls
-    start_values = {c.name: np.full(frame_count, c.default) for c in controls}
-    defaults = dict(start_values)
+    start_by_control = {c.name: np.full(frame_count, c.default) for c in controls}
+    defaults_by_control = dict(start_by_control)
     if take_controls is not None:
-        start_values |= keys_of_control_channel(controls, take_controls)
+        start_by_control |= keys_of_control_channel(controls, take_controls)
     if rig.is_driven:
-        start_values |= {name: defaults[name] for name in plan_of(rig).controls}
-    start_targets = evaluate_controls(controls, start_values).targets
+        start_by_control |= {
+            name: defaults_by_control[name] for name in plan_of(rig).controls
+        }
+    start_targets = evaluate_controls(controls, start_by_control).targets
     goal_by_target, unreachable_targets = required_control_values(
         rig, joints, set(start_targets), start_targets, tolerances
     )
@@ -85,14 +87,14 @@ def solve_take_controls(
         controls,
         goal_by_target,
         tolerance_by_target,
-        start_values,
+        start_by_control,
         keyed_targets=unreachable_targets,
     )
-    control_values = {
+    values_by_control = {
         c.name: _snap_to_constant(solution.values[c.name], c.default) for c in controls
     }
     reset_names = () if take_controls is not None else solution.reset_names
-    return SolvedControls(control_values, solution.solved_names, reset_names)
+    return SolvedControls(values_by_control, solution.solved_names, reset_names)
 
 
 def keys_of_control_channel(
@@ -100,10 +102,10 @@ def keys_of_control_channel(
 ) -> dict[str, FloatArray]:
     """Return the values of keys ``(F,)`` that produce a motion's control values."""
     value_columns = channel.dense()[..., 0].T
-    control_values = {
+    values_by_control = {
         c.name: column for c, column in zip(controls, value_columns, strict=True)
     }
-    return keys_of_controls(controls, control_values)
+    return keys_of_controls(controls, values_by_control)
 
 
 def keyable_controls(rig: Rig) -> Sequence[Control]:
@@ -155,44 +157,45 @@ class FittedControls:
 def fit_controls(
     take: Take,
     rig: Rig,
-    solved_values: Mapping[str, FloatArray],
+    solved_by_control: Mapping[str, FloatArray],
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
     bounds: FloatArray,
     weight_tolerance: float,
 ) -> FittedControls:
     """Return sparse keys of controls that move joints and shapes within tolerances.
 
-    ``solved_values`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
+    ``solved_by_control`` has the exact values of each control ``(F,)``; ``bounds``
+    ``(J,)`` [m] and ``weight_tolerance`` [1] are the largest errors allowed.
     """
     default_by_name = {control.name: control.default for control in rig.controls}
-    changed_values = {
-        n: solved_values[n]
+    changed_by_control = {
+        n: solved_by_control[n]
         for n in default_by_name
-        if (solved_values[n] != default_by_name[n]).any()
+        if (solved_by_control[n] != default_by_name[n]).any()
     }
     moving_names = [
-        n for n, values in changed_values.items() if (values != values[0]).any()
+        n for n, values in changed_by_control.items() if (values != values[0]).any()
     ]
     control_errors = _ControlErrors(
-        take, rig, solved_values, keyed_tracks, bounds, weight_tolerance
+        take, rig, solved_by_control, keyed_tracks, bounds, weight_tolerance
     )
     tolerance_by_name = {
         name: control_errors.initial_tolerance(name) for name in moving_names
     }
     keys_by_name: dict[str, FittedKeys] = {}
-    values: dict[str, FloatArray] = {}
+    values_by_target: dict[str, FloatArray] = {}
     for attempt in range(MAX_REFINEMENTS):
         keys_by_name = {
             name: fit_keys(column[:, None], tolerance_by_name[name])
             if name in tolerance_by_name
             else fit_keys(column[:1, None], 1.0)
-            for name, column in changed_values.items()
+            for name, column in changed_by_control.items()
         }
         frames = np.arange(take.motion.frames)
-        values = {
+        values_by_target = {
             f"control/{n}": evaluate_keys(f, frames) for n, f in keys_by_name.items()
         }
-        ratio = control_errors.error_ratio(values) if moving_names else 0.0
+        ratio = control_errors.error_ratio(values_by_target) if moving_names else 0.0
         if ratio <= CONTROL_FRACTION:
             break
         is_last = attempt >= MAX_REFINEMENTS - 2
@@ -202,9 +205,11 @@ def fit_controls(
         }
     channels = [
         ReducedChannel(f"control/{name}", None, keys_by_name[name])
-        for name in changed_values
+        for name in changed_by_control
     ]
-    return FittedControls(channels, values, take.motion.frames * len(moving_names))
+    return FittedControls(
+        channels, values_by_target, take.motion.frames * len(moving_names)
+    )
 
 
 class _ControlErrors:
@@ -214,36 +219,36 @@ class _ControlErrors:
         self,
         take: Take,
         rig: Rig,
-        solved_values: Mapping[str, FloatArray],
+        solved_by_control: Mapping[str, FloatArray],
         keyed_tracks: frozenset[tuple[ChannelKind, int]],
         bounds: FloatArray,
         weight_tolerance: float,
     ) -> None:
         self.take, self.rig, self.keyed_tracks = take, rig, keyed_tracks
         self.exact_values = {
-            f"control/{n}": v[:, None] for n, v in solved_values.items()
+            f"control/{n}": v[:, None] for n, v in solved_by_control.items()
         }
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
         self.points = attached_points(rig, SHELL_DISTANCE)
 
     def error_ratio(
-        self, values: Mapping[str, FloatArray], frames: IntArray | None = None
+        self, values_by_target: Mapping[str, FloatArray], frames: IntArray | None = None
     ) -> float:
         """Return the largest error that control values cause, over the tolerance."""
         take, rig = self.take, self.rig
         frame_indices = np.arange(take.motion.frames) if frames is None else frames
         times = take.clock.times[frame_indices]
 
-        def motion_of(values: Mapping[str, FloatArray]) -> Motion:
+        def motion_of(values_by_target: Mapping[str, FloatArray]) -> Motion:
             """Return the motion that control values cause in the frames."""
             selected_values = {
                 name: value[frame_indices] if len(value) > 1 else value
-                for name, value in values.items()
+                for name, value in values_by_target.items()
             }
             return sample_values(selected_values, rig, times).motion
 
         exact_motion = motion_of(self.exact_values)
-        trial_motion = motion_of({**self.exact_values, **values})
+        trial_motion = motion_of({**self.exact_values, **values_by_target})
         exact_pose = take.motion.select(frame_indices)
         driven_motion = driven_pose(
             exact_pose, trial_motion, exact_motion, self.keyed_tracks

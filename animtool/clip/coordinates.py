@@ -171,7 +171,7 @@ def required_control_values(
     The values ``(F or 1,)`` are by target. Targets are unreachable if their joints also
     move along axes that no control drives.
     """
-    requested_values: dict[str, FloatArray] = {}
+    requested_by_target: dict[str, FloatArray] = {}
     unreachable_targets: set[str] = set()
     for target in sorted(targets):
         group, _, name = target.partition("/")
@@ -185,14 +185,14 @@ def required_control_values(
             columns = [initial_values.get(part, np.zeros(1)) for part in axis_targets]
             initial_vector = np.stack(np.broadcast_arrays(*columns), -1)
             vector = _nearest_revolution(motion.rotation, initial_vector)
-            requested_values[target] = vector[:, "xyz".index(axis)]
+            requested_by_target[target] = vector[:, "xyz".index(axis)]
             other_axes = [i for i in range(3) if axis_targets[i] not in targets]
             if np.abs(vector[:, other_axes]).max(initial=0.0) > tolerances.angle:
                 unreachable_targets.add(target)
         elif kind == "translation":
-            requested_values[target] = motion.translation[:, "xyz".index(axis)]
+            requested_by_target[target] = motion.translation[:, "xyz".index(axis)]
         else:
-            requested_values[target] = motion.coordinate
+            requested_by_target[target] = motion.coordinate
             is_unreachable = (
                 motion.rotation_error > tolerances.angle
                 if kind == "angle"
@@ -200,7 +200,7 @@ def required_control_values(
             )
             if is_unreachable:
                 unreachable_targets.add(target)
-    return requested_values, unreachable_targets
+    return requested_by_target, unreachable_targets
 
 
 def _nearest_revolution(rotation: FloatArray, initial_vector: FloatArray) -> FloatArray:

@@ -155,8 +155,10 @@ class _KeyingJob:
     def reduce(self, factor: float) -> KeyedTake:
         """Return the take's keys, fitted with the tolerance times ``factor``."""
         take, rig = self.take, self.rig
-        scaled_tolerances = {p: factor * v for p, v in self.joint_tolerances.items()}
-        bounds = joint_bounds(rig, factor * self.tolerance, scaled_tolerances)
+        scaled_tolerance_by_pattern = {
+            p: factor * v for p, v in self.joint_tolerances.items()
+        }
+        bounds = joint_bounds(rig, factor * self.tolerance, scaled_tolerance_by_pattern)
         unkeyable_values = self._driven_values()
         driven_values = evaluate_controls(rig.controls, self.solution.values)
         exact_targets = driven_values.targets | unkeyable_values
@@ -187,7 +189,7 @@ class _KeyingJob:
         reduction = reduce_motion(
             take,
             factor * self.tolerance,
-            joint_tolerances=scaled_tolerances,
+            joint_tolerances=scaled_tolerance_by_pattern,
             weight_tolerance=weight_tolerance,
             base=self.base,
             tracks=sort_tracks(tracks),
@@ -215,11 +217,15 @@ class _KeyingJob:
         if not rig.is_driven:
             return {}
         plan = plan_of(rig)
-        values = {f"shape/{name}": self.weights_by_shape[name] for name in plan.shapes}
+        values_by_target = {
+            f"shape/{name}": self.weights_by_shape[name] for name in plan.shapes
+        }
         for j in plan.joints:
             part = COORDINATE_PARTS[rig.joints[j].type]
-            values[f"joint/{rig.names[j]}.{part}"] = self.joint_motions[j].coordinate
-        return values
+            values_by_target[f"joint/{rig.names[j]}.{part}"] = self.joint_motions[
+                j
+            ].coordinate
+        return values_by_target
 
     def _keyed_channels(
         self, tracks: list[KeyTrack]
@@ -285,10 +291,14 @@ class _KeyingJob:
 def _combination_gain(rig: Rig, tracks: list[KeyTrack]) -> float:
     """Return the factor by which combination shapes amplify errors [1], at least 1."""
     keyed_shapes = {track.index for track in tracks}
-    shape_weights = {s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)}
+    weight_by_shape = {
+        s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)
+    }
     for shape in combination_order(rig.shapes):
-        shape_weights[shape.name] += sum(shape_weights[name] for name in shape.combine)
-    return max(1.0, *shape_weights.values()) if shape_weights else 1.0
+        weight_by_shape[shape.name] += sum(
+            weight_by_shape[name] for name in shape.combine
+        )
+    return max(1.0, *weight_by_shape.values()) if weight_by_shape else 1.0
 
 
 def _measure_errors(

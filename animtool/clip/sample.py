@@ -135,12 +135,12 @@ def sample_values(
     """
     frame_count = len(times)
     notices: list[ClipNotice] = []
-    controls = {
+    values_by_control = {
         name.removeprefix("control/"): value[:, 0]
         for name, value in keyed_values.items()
         if name.startswith("control/")
     }
-    control_effects = evaluate_controls(rig.controls, controls, clamp=clamp)
+    control_effects = evaluate_controls(rig.controls, values_by_control, clamp=clamp)
     effect_values = control_effects.unclamped_controls | control_effects.targets
     for fault in undefined_faults(effect_values, times):
         raise FormatError(fault)
@@ -152,12 +152,12 @@ def sample_values(
     for name, joint_parts in parts_by_joint.items():
         joint_values.add_joint(rig.index(name), joint_parts)
     control_channel = None
-    if controls:
+    if values_by_control:
         columns = [control_effects.controls[control.name] for control in rig.controls]
         control_channel = _column_channel(columns, frame_count)
-    coordinates = {}
+    values_by_coordinate = {}
     if rig.is_driven:
-        coordinates = _joint_coordinates(rig, parts_by_joint, clamp=clamp)
+        values_by_coordinate = _joint_coordinates(rig, parts_by_joint, clamp=clamp)
     motion = Motion(
         joint_values.build_channel("translations", rig.rest_translations),
         joint_values.build_channel("rotations", rig.rest_rotations),
@@ -171,7 +171,7 @@ def sample_values(
         from animtool.motion.driver_run import DriverRun
 
         driver_run = run or DriverRun(rig, reports_replaced=True)
-        motion = driver_run.evaluate(motion, times, coordinates)
+        motion = driver_run.evaluate(motion, times, values_by_coordinate)
         if run is None:
             located_notices = driver_run.located_notices()
             notices += [ClipNotice(*notice) for notice in located_notices]
@@ -182,7 +182,7 @@ def _joint_coordinates(
     rig: Rig, parts_by_joint: Mapping[str, JointParts], *, clamp: bool
 ) -> dict[str, FloatArray]:
     """Return joint angles and slides from keys and controls, by name."""
-    coordinates = {}
+    values_by_coordinate = {}
     for name, joint_parts in parts_by_joint.items():
         joint = rig.joints[rig.index(name)]
         part, local_part = _MIMIC_PARTS.get(joint.type, ("", ""))
@@ -191,8 +191,8 @@ def _joint_coordinates(
             continue
         if clamp and isinstance(joint.limits, RangeLimit):
             value = joint.limits.clamped(value)
-        coordinates[f"{name}.{part}"] = value[:, 0]
-    return coordinates
+        values_by_coordinate[f"{name}.{part}"] = value[:, 0]
+    return values_by_coordinate
 
 
 def _range_notices(
@@ -457,7 +457,7 @@ def _weight_channel(
     frame_count: int,
 ) -> Channel | None:
     """Return the shape weights as a channel; None if all are zero."""
-    weights: dict[str, FloatArray] = {}
+    weights_by_shape: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"
         value = np.zeros(1)
@@ -465,8 +465,10 @@ def _weight_channel(
             value = value + keyed_values[target][:, 0]
         if target in control_effects.targets:
             value = value + control_effects.targets[target]
-        weights[shape.name] = value
-    weights = add_combinations(rig.shapes, weights)
-    if not any(value.any() for value in weights.values()):
+        weights_by_shape[shape.name] = value
+    weights_by_shape = add_combinations(rig.shapes, weights_by_shape)
+    if not any(value.any() for value in weights_by_shape.values()):
         return None
-    return _column_channel([weights[shape.name] for shape in rig.shapes], frame_count)
+    return _column_channel(
+        [weights_by_shape[shape.name] for shape in rig.shapes], frame_count
+    )

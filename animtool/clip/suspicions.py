@@ -425,10 +425,10 @@ def _warn_of_controls(clip: CheckedClip) -> None:
     time_count = min(len(times), MAX_EVALUATED_TIMES)
     times = times[np.linspace(0, len(times) - 1, time_count).astype(int)]
     values_by_target = evaluate_channels(controls, times)
-    keyed_values = {
+    values_by_control = {
         t.removeprefix("control/"): v[:, 0] for t, v in values_by_target.items()
     }
-    driven_targets = evaluate_controls(rig.controls, keyed_values).targets
+    driven_targets = evaluate_controls(rig.controls, values_by_control).targets
     for i in indices:
         target = channels[i].target
         spans = [
@@ -441,7 +441,7 @@ def _warn_of_controls(clip: CheckedClip) -> None:
         if not driven_span > 0 or channel_span < MIN_LAYER_FRACTION * driven_span:
             continue
         driving_names = listed(
-            list(map(repr, _driving_controls(rig, target, keyed_values))), 3
+            list(map(repr, _driving_controls(rig, target, values_by_control))), 3
         )
         is_length = target.endswith(("translation", "slide"))
         span_texts = [
@@ -457,13 +457,13 @@ def _warn_of_controls(clip: CheckedClip) -> None:
 
 
 def _driving_controls(
-    rig: Rig, target: str, keyed_values: Mapping[str, FloatArray]
+    rig: Rig, target: str, values_by_control: Mapping[str, FloatArray]
 ) -> list[str]:
     """Return the keyed controls that drive a target, or all if none does."""
     control_names = [
         control.name
         for control in rig.controls
-        if control.name in keyed_values
+        if control.name in values_by_control
         and any(f"{drive.target}.".startswith(f"{target}.") for drive in control.drives)
     ]
-    return control_names or list(keyed_values)
+    return control_names or list(values_by_control)

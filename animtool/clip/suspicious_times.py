@@ -95,14 +95,16 @@ def _warn_of_range(
     The nearest key outside on either side shapes the curve inside the range, and all
     keys are played if the channel repeats them.
     """
-    keys_outside = {
+    keys_outside_by_channel = {
         i: keys_without_effect(c, first, last) for i, c in enumerate(channels)
     }
-    keys_outside = {i: keys for i, keys in keys_outside.items() if len(keys)}
-    if not keys_outside:
+    keys_outside_by_channel = {
+        i: keys for i, keys in keys_outside_by_channel.items() if len(keys)
+    }
+    if not keys_outside_by_channel:
         _note_of_repeated_keys(document, channels, first, last)
         return
-    i, keys = next(iter(keys_outside.items()))
+    i, keys = next(iter(keys_outside_by_channel.items()))
     frame_text = listed([f"{t:g}" for t in channels[i].times[keys]])
     times = channels[i].times
     if times[0] > last or times[-1] < first:
@@ -111,7 +113,7 @@ def _warn_of_range(
         hint = f"write range: [{times[0]:g}, {times[-1]:g}], or move the keys"
         document.warn("CLIP201", ("channels", i, "keys", 0, "t"), message, hint)
         return
-    other_count = len(keys_outside) - 1
+    other_count = len(keys_outside_by_channel) - 1
     message = f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the "
     message += f"range from {first:g} to {last:g}: {frame_text}"
     message += (

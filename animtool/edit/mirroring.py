@@ -131,12 +131,12 @@ def _control_effect(
         for value in (base_value, changed_value)
     )
     local_effects, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
-    shape_indices = {shape.name: i for i, shape in enumerate(rig.shapes)}
+    index_by_shape = {shape.name: i for i, shape in enumerate(rig.shapes)}
     for target in targets_after:
         change = targets_after[target][0] - targets_before[target][0]
         kind, _, name = target.partition("/")
         if kind == "shape":
-            weights[shape_indices[name]] += change
+            weights[index_by_shape[name]] += change
             continue
         name, part = split_part(name, DRIVEN_PARTS)
         j = rig.index(name)

@@ -108,8 +108,10 @@ def _run_trim(
             options.last, "last", is_rounded_down=not in_shot
         )
     range_ends = {"first": options.first, "last": options.last}
-    stated_ends = {name: end for name, end in range_ends.items() if end is not None}
-    hint = seconds_hint(stated_ends, first_code, stream.fps)
+    stated_end_by_name = {
+        name: end for name, end in range_ends.items() if end is not None
+    }
+    hint = seconds_hint(stated_end_by_name, first_code, stream.fps)
     if options.first is not None and first_index < 0 and not in_shot:
         message = f"first is {options.first:g}, but the take begins at "
         message += f"{float(first_code):g}; frames have the numbers of the take"

@@ -218,17 +218,18 @@ def _axes_warnings(take: Take, options: RootMotionOptions) -> list[Fault]:
         return []
     hip_index = _hips_index(take, options.root, options.hips)
     positions = joint_frame(rig, take.motion, hip_index).position
-    travel = dict(zip("xyz", np.abs(positions[-1] - positions[0]), strict=True))
+    travel_by_axis = dict(zip("xyz", np.abs(positions[-1] - positions[0]), strict=True))
     (missing_axis,) = set("xyz") - axes
-    root_travel = math.hypot(*(travel[axis] for axis in axes))
-    if travel[missing_axis] < max(
+    root_travel = math.hypot(*(travel_by_axis[axis] for axis in axes))
+    if travel_by_axis[missing_axis] < max(
         MIN_TRAVEL * rest_size(rig), MIN_TRAVEL_RATIO * root_travel
     ):
         return []
     axes_text = "".join(sorted(axes))
+    missing_travel = length_text(travel_by_axis[missing_axis])
     message = (
         f"axes {axes_text} has the up axis {up}, and lacks {missing_axis}, along which "
-        f"{rig.names[hip_index]!r} travels {length_text(travel[missing_axis])}: "
+        f"{rig.names[hip_index]!r} travels {missing_travel}: "
         f"the root travels {length_text(root_travel)}"
     )
     ground_axes = "xyz".replace(up, "")

@@ -226,13 +226,15 @@ def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
 def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
     """Return the bind poses of a rig after a joint is removed."""
     removed_joint = rig.joints[joint]
-    bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
+    bind_pose_by_joint = {
+        name: pose for name, pose in rig.bind.items() if name != removed_joint.name
+    }
     parent_pose = rig.bind.get(removed_joint.name, removed_joint.rest_pose)
     for child in rig.joints:
         if child.parent == joint and {child.name, removed_joint.name} & set(rig.bind):
             pose = rig.bind.get(child.name, child.rest_pose)
-            bind[child.name] = _relative_pose(parent_pose, pose)
-    return bind
+            bind_pose_by_joint[child.name] = _relative_pose(parent_pose, pose)
+    return bind_pose_by_joint
 
 
 def _referenced_joints(rig: Rig) -> set[str]:

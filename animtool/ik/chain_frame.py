@@ -252,7 +252,7 @@ def check_scales(
         return
     is_scaled = (channel.rest != 1.0).any(axis=1)
     is_scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
-    faults = {}
+    fault_by_joint = {}
     path_text = None if path is None else str(path)
     for effector, joint in effectors:
         for j in take.rig.upwards(take.rig.index(joint)):
@@ -260,6 +260,6 @@ def check_scales(
                 name = take.rig.names[j]
                 message = f"{effector!r} is below {name!r}, which is scaled"
                 hint = "inverse kinematics needs joints without scale"
-                faults[name] = Fault("TGT016", message, path_text, (), hint)
-    if faults:
-        raise OptionError(list(faults.values()))
+                fault_by_joint[name] = Fault("TGT016", message, path_text, (), hint)
+    if fault_by_joint:
+        raise OptionError(list(fault_by_joint.values()))

@@ -234,9 +234,9 @@ class ClipPath:
 
 def _concatenate(results: Sequence[IkResult]) -> IkResult:
     """Concatenate results along the frame axis."""
-    arrays: dict[str, Any] = {
+    array_by_field: dict[str, Any] = {
         name: np.concatenate([getattr(result, name) for result in results])
         for name in PER_PROBLEM_ARRAYS
     }
     statuses = tuple(status for result in results for status in result.statuses)
-    return replace(results[0], statuses=statuses, **arrays)
+    return replace(results[0], statuses=statuses, **array_by_field)

@@ -119,17 +119,17 @@ class DriverPrograms:
         return self.requested_programs.setdefault(target, len(self.requested_programs))
 
     def arrays(
-        self, sources: Mapping[int, CoordinateSource], scales: FloatArray
+        self, source_by_joint: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> tuple[list[int], list[list[int]], list[list[float]]]:
         """Return the indices of the requested programs, and the arrays of all programs.
 
         They have a row for each instruction: nodes ``(., 4)`` and numbers ``(., 6)``.
 
         Args:
-            sources: Chain coordinates by joint.
+            source_by_joint: Chain coordinates by joint.
             scales: Divisor of each chain coordinate.
         """
-        self._source_by_joint, self._coordinate_scales = sources, scales
+        self._source_by_joint, self._coordinate_scales = source_by_joint, scales
         needed_targets = set(self.requested_programs)
         for target in reversed(self.plan.order):
             if target in needed_targets:

@@ -195,10 +195,12 @@ class _TargetsReader:
         root = self._read_root(location, model, joint, chain)
         hold_spans = self._read_spans((*location, "hold"), model.hold)
         active_spans = self._read_spans((*location, "during"), model.during)
-        values = {
+        value_by_part = {
             kind.name: self._read_value(location, model, kind) for kind in GOAL_KINDS
         }
-        parts_to_hold = _hold_parts(values, chain) if hold_spans else frozenset[str]()
+        parts_to_hold = (
+            _hold_parts(value_by_part, chain) if hold_spans else frozenset[str]()
+        )
         value_parts = {
             goal_part
             for goal_part in GOAL_PARTS
@@ -234,7 +236,7 @@ class _TargetsReader:
             model.effector,
             goal,
             chain,
-            values,
+            value_by_part,
             weights,
             tuple(hold_spans),
             model.ease,
@@ -350,7 +352,7 @@ class _TargetsReader:
             if model == 1:
                 return {}
             return {part: ConstantValue((float(model),)) for part in GOAL_PARTS}
-        weights: dict[str, SampledValue] = {}
+        weight_by_part: dict[str, SampledValue] = {}
         for part in GOAL_PARTS:
             weight = getattr(model, part)
             if weight is None:
@@ -360,8 +362,8 @@ class _TargetsReader:
                 self.document.warn("TGT101", (*location, part), message)
             curve = self._read_weight((*location, part), weight)
             if curve is not None:
-                weights[part] = curve
-        return weights
+                weight_by_part[part] = curve
+        return weight_by_part
 
     def _read_weight(
         self, location: Location, model: float | CurveModel
@@ -378,11 +380,11 @@ class _TargetsReader:
 
 
 def _hold_parts(
-    values: dict[str, SampledValue | None], chain: IkChain | None
+    value_by_part: dict[str, SampledValue | None], chain: IkChain | None
 ) -> frozenset[str]:
     """Return the parts that `hold` spans keep: those with targets, else the chain's."""
     pose_parts = ("position", "orientation")
-    parts_with_value = frozenset(p for p in pose_parts if values[p] is not None)
+    parts_with_value = frozenset(p for p in pose_parts if value_by_part[p] is not None)
     chain_goal = "pose" if chain is None else chain.goal
     goal_parts = frozenset(part for part in pose_parts if chain_goal in {part, "pose"})
     return parts_with_value or goal_parts

@@ -184,15 +184,15 @@ def _goal_track(
 ) -> GoalTrack:
     """Return the target track of a chain."""
     goal = matched_limbs.goals[goal_index]
-    values: dict[str, SampledValue | None] = dict.fromkeys(GOAL_PARTS)
+    value_by_part: dict[str, SampledValue | None] = dict.fromkeys(GOAL_PARTS)
     tip = rig.joints[rig.index(chain.tip)]
     for kind in goal.kinds:
         target_values = np.asarray(getattr(matched_limbs.targets, kind.targets_field))
         name = f"{chain.name}_{kind.name}"
         rows = target_values[:, goal_index]
-        values[kind.name] = builder.build_value(rows, name, tip)
+        value_by_part[kind.name] = builder.build_value(rows, name, tip)
     return GoalTrack(
-        chain.name, goal, chain, values, {}, (), DEFAULT_EASE, frozenset[str]()
+        chain.name, goal, chain, value_by_part, {}, (), DEFAULT_EASE, frozenset[str]()
     )
 
 

@@ -148,9 +148,9 @@ def _replace_rows(
     statuses = list(result.statuses)
     for row, source in zip(rows.tolist(), from_rows.tolist(), strict=True):
         statuses[row] = replacement.statuses[source]
-    arrays = {}
+    array_by_field = {}
     for name in PER_PROBLEM_ARRAYS:
         values = getattr(result, name).copy()
         values[rows] = getattr(replacement, name)[from_rows]
-        arrays[name] = values
-    return replace(result, statuses=tuple(statuses), **arrays)
+        array_by_field[name] = values
+    return replace(result, statuses=tuple(statuses), **array_by_field)

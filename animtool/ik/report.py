@@ -547,12 +547,12 @@ def status_text(solved_take: TakeIk) -> str:
 
     NEAREST and STEADIER frames are reported together if there are both.
     """
-    counts = {
+    count_by_status = {
         IkStatus(name): count for name, count in solved_take.status_counts.items()
     }
-    steadier_count = counts.pop(IkStatus.STEADIER, 0)
-    nearest_count = counts.pop(IkStatus.NEAREST, 0) if steadier_count else 0
-    texts = [f"{count} {status}" for status, count in counts.items()]
+    steadier_count = count_by_status.pop(IkStatus.STEADIER, 0)
+    nearest_count = count_by_status.pop(IkStatus.NEAREST, 0) if steadier_count else 0
+    texts = [f"{count} {status}" for status, count in count_by_status.items()]
     if steadier_count:
         text = f"{steadier_count + nearest_count} out of reach ({steadier_count} of "
         texts.append(f"{text}them on a smoother path than the nearest poses give)")

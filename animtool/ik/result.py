@@ -191,9 +191,11 @@ class IkResult:
 
     def select(self, rows: IntArray | slice) -> IkResult:
         """Return the result of the selected problems, with the same jumps."""
-        arrays = {name: getattr(self, name)[rows] for name in PER_PROBLEM_ARRAYS}
+        array_by_field = {
+            name: getattr(self, name)[rows] for name in PER_PROBLEM_ARRAYS
+        }
         statuses = tuple(np.array(self.statuses, object)[rows].tolist())
-        return replace(self, statuses=statuses, **arrays)
+        return replace(self, statuses=statuses, **array_by_field)
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the names of the joints that are at a limit in pose ``index``."""
@@ -203,8 +205,10 @@ class IkResult:
 
     def __repr__(self) -> str:
         """Return the number of problems by status, and the worst miss."""
-        counts = Counter(map(str, self.statuses))
-        status_text = ", ".join(f"{count} {status}" for status, count in counts.items())
+        count_by_status = Counter(map(str, self.statuses))
+        status_text = ", ".join(
+            f"{count} {status}" for status, count in count_by_status.items()
+        )
         worst_position = float(self.positions.max(initial=0.0))
         missed_text = f"; goals missed: {len(self.missed)}" if self.missed else ""
         worst_text = f"worst position {worst_position:.3g} m"

@@ -173,18 +173,20 @@ def _pull_to_preferred(
 
 def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
     """Return faults that do not depend on the problem, by option."""
-    faults: dict[str, list[Fault]] = {}
+    faults_by_option: dict[str, list[Fault]] = {}
     for name in ("tolerance", "angle_tolerance"):
         value = getattr(options, name)
-        faults[name] = _fault_unless(value > 0, name, "more than 0", value)
+        faults_by_option[name] = _fault_unless(value > 0, name, "more than 0", value)
     for name, (low, high) in OPTION_RANGES.items():
         value = getattr(options, name)
         is_valid = bool(isinstance(value, (int, np.integer)) and low <= value <= high)
         rule = f"a whole number from {low} to {high}"
-        faults[name] = _fault_unless(is_valid, name, rule, value)
+        faults_by_option[name] = _fault_unless(is_valid, name, rule, value)
     seconds = options.seconds
-    faults["seconds"] = _fault_unless(seconds >= 0, "seconds", "at least 0", seconds)
-    return faults
+    faults_by_option["seconds"] = _fault_unless(
+        seconds >= 0, "seconds", "at least 0", seconds
+    )
+    return faults_by_option
 
 
 def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:

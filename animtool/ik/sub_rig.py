@@ -31,14 +31,16 @@ def find_mimics(rig: Rig, joint_names: Collection[str]) -> list[str]:
     ['tail']
     """
     moving_names = set(joint_names)
-    leader_names = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
+    leader_by_follower = {
+        j.name: j.mimic.joint for j in rig.joints if j.mimic is not None
+    }
     while new_names := {
         name
-        for name, leader_name in leader_names.items()
+        for name, leader_name in leader_by_follower.items()
         if leader_name in moving_names and name not in moving_names
     }:
         moving_names |= new_names
-    mimic_names = {name for name in moving_names if name in leader_names}
+    mimic_names = {name for name in moving_names if name in leader_by_follower}
     if rig.is_driven:
         mimic_names.update(plan_of(rig).dependent_joints(moving_names))
     return [name for name in rig.names if name in mimic_names]
@@ -84,7 +86,7 @@ def leader_of(rig: Rig, joint: int) -> tuple[int, float, float]:
 
 def coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
     """Return coordinate limits by joint, narrowed by the limits of mimic joints."""
-    ranges: dict[int, tuple[float, float]] = {}
+    range_by_joint: dict[int, tuple[float, float]] = {}
     for j, joint in enumerate(rig.joints):
         if not isinstance(joint.limits, RangeLimit):
             continue
@@ -95,9 +97,11 @@ def coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
             continue
         ends = (joint.limits.low, joint.limits.high)
         range_start, range_end = sorted((end - shift) / gain for end in ends)
-        low, high = ranges.get(leader, UNLIMITED)
-        ranges[leader] = max(low, range_start), min(high, range_end)
-    return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
+        low, high = range_by_joint.get(leader, UNLIMITED)
+        range_by_joint[leader] = max(low, range_start), min(high, range_end)
+    return {
+        leader: (low, max(low, high)) for leader, (low, high) in range_by_joint.items()
+    }
 
 
 def start_coordinates(rig: Rig) -> FloatArray:
@@ -174,13 +178,13 @@ def sub_rig(rig: Rig, joint_names: Iterable[str]) -> tuple[Rig, IntArray]:
 
 def _driver_links(rig: Rig) -> dict[int, list[int]]:
     """Return, for each joint, the joints that its driver reads and those it drives."""
-    linked_joints: dict[int, list[int]] = {}
+    linked_by_joint: dict[int, list[int]] = {}
     for name, sources in plan_of(rig).joints_read.items():
         for source_name in sources:
             joint_pair = rig.index(name), rig.index(source_name)
             for joint, linked_joint in (joint_pair, joint_pair[::-1]):
-                linked_joints.setdefault(joint, []).append(linked_joint)
-    return linked_joints
+                linked_by_joint.setdefault(joint, []).append(linked_joint)
+    return linked_by_joint
 
 
 def _supported_controls(rig: Rig, joint_names: Collection[str]) -> tuple[Control, ...]:
@@ -227,11 +231,11 @@ def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
     >>> [str(joint.type) for joint in with_joint_data_of(plain, typed).joints]
     ['free', 'pin']
     """
-    typed_joints = {joint.name: joint for joint in typed_rig.joints}
+    typed_joint_by_name = {joint.name: joint for joint in typed_rig.joints}
     rig_names = set(rig.names)
     joints = []
     for joint in with_ball_joints(rig).joints:
-        typed_joint = typed_joints.get(joint.name)
+        typed_joint = typed_joint_by_name.get(joint.name)
         if typed_joint is None:
             joints.append(joint)
             continue

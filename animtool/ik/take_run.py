@@ -127,16 +127,20 @@ class TakeIk:
     @property
     def status_counts(self) -> dict[str, int]:
         """Number of frames by status."""
-        counts = Counter(self.statuses)
-        return {str(status): counts[status] for status in IkStatus if counts[status]}
+        count_by_status = Counter(self.statuses)
+        return {
+            str(status): count_by_status[status]
+            for status in IkStatus
+            if count_by_status[status]
+        }
 
     @property
     def limit_counts(self) -> dict[str, int]:
         """Number of frames in which each joint is at a limit; zeros are left out."""
-        counts = {
+        count_by_joint = {
             name: int(is_on_limit.sum()) for name, is_on_limit in self.on_limits.items()
         }
-        return {name: count for name, count in counts.items() if count}
+        return {name: count for name, count in count_by_joint.items() if count}
 
     @property
     def jumps_at_codes(self) -> list[dict[str, object]]:

@@ -290,11 +290,11 @@ class TargetTracks:
             raise OptionError(faults)
         goals = []
         for track in self.goals:
-            values = dict(track.values)
+            value_by_part = dict(track.values)
             for part, value in track.values.items():
                 if isinstance(value, ArrayRows) and value.first is None:
-                    values[part] = replace(value, first=clock.start)
-            goals.append(replace(track, values=values))
+                    value_by_part[part] = replace(value, first=clock.start)
+            goals.append(replace(track, values=value_by_part))
         return replace(self, goals=tuple(goals))
 
     def sample(

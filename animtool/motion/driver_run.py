@@ -219,19 +219,22 @@ class DriverRun:
     ) -> Motion:
         """Return a motion with the driven joints replaced."""
         rig = self.rig
-        rotations: dict[int, FloatArray] = {}
-        translations: dict[int, FloatArray] = {}
+        rotations_by_joint: dict[int, FloatArray] = {}
+        translations_by_joint: dict[int, FloatArray] = {}
         for j, value in driver_values.joints.items():
             joint = rig.joints[j]
             rest_rotation = np.array(joint.rotation)
             if joint.type is JointType.PRISMATIC:
                 slide = so3.rotate(rest_rotation, value[:, None] * np.array(joint.axis))
-                translations[j] = np.array(joint.translation) + slide
+                translations_by_joint[j] = np.array(joint.translation) + slide
             else:
                 rotation = so3.from_axis_angle(joint.axis, value)
-                rotations[j] = so3.multiply(rest_rotation, rotation)
-        for j, driven_values in [*rotations.items(), *translations.items()]:
-            is_rotation = j in rotations
+                rotations_by_joint[j] = so3.multiply(rest_rotation, rotation)
+        for j, driven_values in [
+            *rotations_by_joint.items(),
+            *translations_by_joint.items(),
+        ]:
+            is_rotation = j in rotations_by_joint
             channel = motion.rotations if is_rotation else motion.translations
             current_values = _joint_rows(channel, j)
             rest_values = rig.rest_rotations if is_rotation else rig.rest_translations
@@ -244,8 +247,8 @@ class DriverRun:
                 self._record_replaced(target, differences, times, COORDINATE_ROUNDING)
         return replace(
             motion,
-            rotations=_with_joint_rows(motion.rotations, rotations),
-            translations=_with_joint_rows(motion.translations, translations),
+            rotations=_with_joint_rows(motion.rotations, rotations_by_joint),
+            translations=_with_joint_rows(motion.translations, translations_by_joint),
         )
 
     def _driven_weights(
@@ -258,25 +261,25 @@ class DriverRun:
         channel = motion.weights
         if channel is None:
             channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
-        source_weights = {
+        source_weights_by_shape = {
             shape.name: _column_values(channel, i) for i, shape in enumerate(shapes)
         }
-        uncombined_weights = subtract_combinations(shapes, source_weights)
+        uncombined_weights = subtract_combinations(shapes, source_weights_by_shape)
         uncombined_weights |= driver_values.shapes
         new_weights = add_combinations(shapes, uncombined_weights)
-        shape_indices = {shape.name: i for i, shape in enumerate(shapes)}
+        index_by_shape = {shape.name: i for i, shape in enumerate(shapes)}
         changed_shapes = dict.fromkeys(
             [*driver_values.shapes, *plan.combination_shapes]
         )
         for name in driver_values.shapes:
-            if source_weights[name].any():
-                differences = np.abs(new_weights[name] - source_weights[name])
+            if source_weights_by_shape[name].any():
+                differences = np.abs(new_weights[name] - source_weights_by_shape[name])
                 target = f"shape/{name}"
                 self._record_replaced(target, differences, times, WEIGHT_ROUNDING)
-        rows = {
-            shape_indices[name]: new_weights[name][:, None] for name in changed_shapes
+        rows_by_shape_index = {
+            index_by_shape[name]: new_weights[name][:, None] for name in changed_shapes
         }
-        return _with_joint_rows(channel, rows)
+        return _with_joint_rows(channel, rows_by_shape_index)
 
     def _driven_controls(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
@@ -285,18 +288,18 @@ class DriverRun:
         controls, channel = self.rig.controls, motion.controls
         if not driver_values.controls or channel is None:
             return channel
-        rows = {
+        rows_by_control_index = {
             i: driver_values.controls[control.name][:, None]
             for i, control in enumerate(controls)
             if control.name in driver_values.controls
         }
-        for i, value in rows.items():
+        for i, value in rows_by_control_index.items():
             source_values = _column_values(channel, i)
             if (source_values != controls[i].default).any():
                 differences = np.abs(value[:, 0] - source_values)
                 target = f"control/{controls[i].name}"
                 self._record_replaced(target, differences, times, WEIGHT_ROUNDING)
-        return _with_joint_rows(channel, rows)
+        return _with_joint_rows(channel, rows_by_control_index)
 
     def _record_replaced(
         self, target: str, differences: FloatArray, times: FloatArray, tolerance: float
@@ -389,23 +392,27 @@ def _column_values(channel: Channel, i: int) -> FloatArray:
     return _joint_rows(channel, i)[:, 0]
 
 
-def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
+def _with_joint_rows(
+    channel: Channel, rows_by_joint: Mapping[int, FloatArray]
+) -> Channel:
     """Return the channel with joints set to values ``(F, K)``, or static ``(1, K)``."""
-    if not rows:
+    if not rows_by_joint:
         return channel
     frame_count = len(channel.values)
-    static_rows = [i for i, values in rows.items() if len(values) == 1 != frame_count]
-    animated_rows = sorted(rows.keys() - static_rows)
+    static_rows = [
+        i for i, values in rows_by_joint.items() if len(values) == 1 != frame_count
+    ]
+    animated_rows = sorted(rows_by_joint.keys() - static_rows)
     rest_values = channel.rest.copy()
     for i in static_rows:
-        rest_values[i] = rows[i][0]
+        rest_values[i] = rows_by_joint[i][0]
     is_animated = ~np.isin(channel.animated, static_rows)
     kept_values = channel.values[:, is_animated]
     result = Channel(rest_values, channel.animated[is_animated], kept_values)
     if not animated_rows:
         return result
     shape = (frame_count, rest_values.shape[1])
-    values = [np.broadcast_to(rows[i], shape) for i in animated_rows]
+    values = [np.broadcast_to(rows_by_joint[i], shape) for i in animated_rows]
     return result.put(np.array(animated_rows, np.int64), np.stack(values, axis=1))
 
 

@@ -114,9 +114,9 @@ class Markers:
         self, function: Callable[[Any], Any], names: tuple[str, ...]
     ) -> Markers:
         """Return markers of other names, with a function applied to every array."""
-        arrays: dict[str, Any] = {
+        array_by_field: dict[str, Any] = {
             name: function(values)
             for name in _ARRAY_FIELDS
             if (values := getattr(self, name)) is not None
         }
-        return replace(self, names=names, **arrays)
+        return replace(self, names=names, **array_by_field)

@@ -223,27 +223,29 @@ class Motion:
 
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
         """Apply a function to each channel of the motion that is not None."""
-        channels: dict[str, Any] = {
+        channel_by_field: dict[str, Any] = {
             name: function(channel)
             for name in CHANNELS
             if (channel := getattr(self, name)) is not None
         }
-        points = {name: function(channel) for name, channel in self.points.items()}
-        return Motion(**channels, points=points)
+        points_by_name = {
+            name: function(channel) for name, channel in self.points.items()
+        }
+        return Motion(**channel_by_field, points=points_by_name)
 
     @staticmethod
     def concatenate(blocks: list[Motion]) -> Motion:
         """Concatenate consecutive blocks to one motion."""
-        channels: dict[str, Any] = {
+        channel_by_field: dict[str, Any] = {
             name: Channel.concatenate([getattr(block, name) for block in blocks])
             for name in CHANNELS
             if getattr(blocks[0], name) is not None
         }
-        points = {
+        points_by_name = {
             name: Channel.concatenate([block.points[name] for block in blocks])
             for name in blocks[0].points
         }
-        return Motion(**channels, points=points)
+        return Motion(**channel_by_field, points=points_by_name)
 
 
 # Returns a take's motion at times ``(F,)`` [time codes], in any order.

@@ -257,17 +257,19 @@ def _open_stage(path: Path, name: str, source_options: SourceOptions) -> OpenFil
         if root_path is None or f"{prim}/".startswith(f"{root_path.rstrip('/')}/")
     ]
     if len(selected_skeletons) <= 1 and (selected_skeletons or contents.is_animation()):
-        streams = {
+        stream_by_prim = {
             selected_skeletons[0] if selected_skeletons else "": open_source(
                 path, source_options
             )
         }
         if source_options.take is None:
-            file.notices += _other_takes(path, next(iter(streams.values())))
+            file.notices += _other_takes(path, next(iter(stream_by_prim.values())))
     else:
-        streams = _read_characters(file, {p: characters[p] for p in selected_skeletons})
-    for prim, stream in streams.items():
-        label = source_stem(Path(name)) if len(streams) == 1 else prim
+        stream_by_prim = _read_characters(
+            file, {p: characters[p] for p in selected_skeletons}
+        )
+    for prim, stream in stream_by_prim.items():
+        label = source_stem(Path(name)) if len(stream_by_prim) == 1 else prim
         stream_y_up = reorient(stream, UpAxis.Y)
         if not prim:
             file.takes.append(
@@ -298,21 +300,21 @@ def _open_stage(path: Path, name: str, source_options: SourceOptions) -> OpenFil
 
 
 def _read_characters(
-    file: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
+    file: OpenFile, reader_by_prim: Mapping[str, Callable[[], TakeStream]]
 ) -> dict[str, TakeStream]:
     """Return the takes of all valid characters; report malformed characters."""
-    streams: dict[str, TakeStream] = {}
+    stream_by_prim: dict[str, TakeStream] = {}
     format_errors: list[FormatError] = []
-    for prim, read_stream in characters.items():
+    for prim, read_stream in reader_by_prim.items():
         try:
-            streams[prim] = read_stream()
+            stream_by_prim[prim] = read_stream()
         except FormatError as error:
             format_errors.append(error)
-    if format_errors and not streams:
+    if format_errors and not stream_by_prim:
         raise format_errors[0]
     faults = [fault for error in format_errors for fault in error.faults]
     file.notices += [replace(f, severity=Severity.WARNING) for f in faults]
-    return streams
+    return stream_by_prim
 
 
 def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:

@@ -78,9 +78,11 @@ def _content_texts(file: OpenFile) -> Iterator[str]:
         yield text if count == 1 else f"{count} times {text}"
     contents = file.contents
     if contents is not None:
-        counts = Counter(prim.kind for prim in contents.prims)
+        count_by_kind = Counter(prim.kind for prim in contents.prims)
         yield from (
-            counted(counts[k], *words) for k, words in _KIND_NOUNS.items() if counts[k]
+            counted(count_by_kind[k], *words)
+            for k, words in _KIND_NOUNS.items()
+            if count_by_kind[k]
         )
         if cameras := contents.cameras():
             yield counted(len(cameras), "camera")

@@ -223,7 +223,7 @@ class PointSlots:
 
     def __init__(self) -> None:
         self.count = 0
-        self._slot_of_id: dict[int, int] = {}
+        self._slot_by_id: dict[int, int] = {}
 
     def assign(self, ids: IntArray | None, points: FloatArray) -> IntArray:
         """Return the slot of each point of a frame ``(N,)``, adding new points."""
@@ -232,22 +232,24 @@ class PointSlots:
             if ids is None or len(ids) != len(points)
             else ids.tolist()
         )
-        previous_slots, self._slot_of_id = self._slot_of_id, {}
-        reused_slots = {
-            point_id: previous_slots[point_id]
+        previous_slot_by_id, self._slot_by_id = self._slot_by_id, {}
+        reused_slot_by_id = {
+            point_id: previous_slot_by_id[point_id]
             for point_id in point_ids
-            if point_id in previous_slots
+            if point_id in previous_slot_by_id
         }
-        used_slots = set(reused_slots.values())
+        used_slots = set(reused_slot_by_id.values())
         free_slots = (
             slot for slot in range(self.count + len(points)) if slot not in used_slots
         )
         for point_id in point_ids:
-            self._slot_of_id[point_id] = (
-                reused_slots[point_id] if point_id in reused_slots else next(free_slots)
+            self._slot_by_id[point_id] = (
+                reused_slot_by_id[point_id]
+                if point_id in reused_slot_by_id
+                else next(free_slots)
             )
         slots = np.array(
-            [self._slot_of_id[point_id] for point_id in point_ids], np.int64
+            [self._slot_by_id[point_id] for point_id in point_ids], np.int64
         )
         self.count = max(self.count, int(slots.max(initial=-1)) + 1)
         return slots
@@ -356,12 +358,12 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     attribute_names = [attribute.name for attribute in track.attributes]
     camera_samples = track.at(times if track.is_animated else times[:1])
     # Lenses are in tenths of a stage unit, which is metres here.
-    lens_values = {
+    lens_values_by_name = {
         name: camera_samples.values[attribute_names.index(name)] * 100
         for name in ("focalLength", "horizontalAperture", "verticalAperture")
         if name in attribute_names
     }
-    focal_lengths = lens_values.get("focalLength", np.full((1, 1), 50.0))
+    focal_lengths = lens_values_by_name.get("focalLength", np.full((1, 1), 50.0))
     rotations = quantize_units(camera_samples.rotations)
     positions = quantize_range(camera_samples.translations)
     draft.record_error(position=positions.error, rotation=2 * rotations.error)
@@ -375,8 +377,8 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
             if np.ptp(focal_lengths) == 0
             else draft.packer.add(QuantizedValues(focal_lengths.astype("<f4"), "f32")),
             "aperture_mm": [
-                float(lens_values[name][0, 0])
-                if name in lens_values
+                float(lens_values_by_name[name][0, 0])
+                if name in lens_values_by_name
                 else default_aperture
                 for name, default_aperture in (
                     ("horizontalAperture", 20.955),

@@ -170,7 +170,7 @@ def add_take(
         component: _quantize_track(component, track)
         for component, track in tracks_by_component.items()
     }
-    decoded_tracks = {
+    decoded_by_component = {
         component: None
         if track is None
         else _decoded_track(track, quantized_by_component[component])
@@ -178,7 +178,8 @@ def add_take(
     }
 
     def world(
-        frame_slice: slice, tracks: dict[str, QuantizedTrack | None] = decoded_tracks
+        frame_slice: slice,
+        tracks: dict[str, QuantizedTrack | None] = decoded_by_component,
     ) -> WorldTransforms:
         """Return the joint transforms of a range of frames from stored tracks."""
         translations_, rotations_, scales_ = (
@@ -303,24 +304,24 @@ def _measure_errors_and_contacts(
     rig: Rig,
     frame_count: int,
     world: Callable[..., WorldTransforms],
-    exact_tracks: dict[str, QuantizedTrack | None],
+    exact_by_component: dict[str, QuantizedTrack | None],
     stream: TakeStream,
 ) -> list[tuple[int, Any]]:
     """Record the quantization error of a take; return its foot contacts."""
     if not rig.joints or not frame_count:
         return []
-    skeleton, legs = _roles_and_legs(draft, rig)
-    foot_joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
+    skeleton, leg_by_side = _roles_and_legs(draft, rig)
+    foot_joints = sorted({j for leg in leg_by_side.values() for j in leg[2:] if j >= 0})
     foot_positions = []
     for begin in range(0, frame_count, BLOCK_FRAMES):
         block = slice(begin, min(begin + BLOCK_FRAMES, frame_count))
-        stored_world, exact_world = world(block), world(block, exact_tracks)
+        stored_world, exact_world = world(block), world(block, exact_by_component)
         position_errors = np.linalg.norm(
             stored_world.positions - exact_world.positions, axis=-1
         )
         draft.record_error(position=float(position_errors.max(initial=0.0)))
         foot_positions.append(exact_world.positions[:, foot_joints])
-    rotations = exact_tracks["r"]
+    rotations = exact_by_component["r"]
     assert rotations is not None
     if rotations.animated_values.size:
         quantized_rotations = quantize_units(
@@ -337,7 +338,7 @@ def _measure_errors_and_contacts(
         zip(foot_joints, np.concatenate(foot_positions).swapaxes(0, 1), strict=True)
     )
     rate = float(stream.fps / stream.step)
-    return list(_foot_contacts(skeleton, legs, positions_by_foot, rate))
+    return list(_foot_contacts(skeleton, leg_by_side, positions_by_foot, rate))
 
 
 LegJointsBySide = dict[str, tuple[int, int, int, int]]
@@ -351,8 +352,10 @@ def _roles_and_legs(
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.rig_cache:
         skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
-        legs = {side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None}
-        draft.rig_cache[key] = (skeleton if legs else None), legs
+        leg_by_side = {
+            side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None
+        }
+        draft.rig_cache[key] = (skeleton if leg_by_side else None), leg_by_side
     skeleton_and_legs: tuple[RoledSkeleton | None, LegJointsBySide] = draft.rig_cache[
         key
     ]
@@ -361,12 +364,12 @@ def _roles_and_legs(
 
 def _foot_contacts(
     skeleton: RoledSkeleton,
-    legs: LegJointsBySide,
+    leg_by_side: LegJointsBySide,
     positions_by_foot: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:
     """Yield each foot joint with a mask of the frames in contact ``(F,)``."""
-    for side, leg in legs.items():
+    for side, leg in leg_by_side.items():
         ankle, toe = leg[2:]
         length = skeleton.leg_length(side)
         contacts = find_contacts(

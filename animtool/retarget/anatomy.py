@@ -44,7 +44,7 @@ from animtool.retarget.structure import (
 from animtool.rig.skeleton import Rig
 
 _LIMB_ROLES = {"arm": ARM_ROLES, "leg": LEG_ROLES}
-_LIMB_SHAPES = {
+_SHAPE_BY_LIMB = {
     f"{name}_{side}": LimbShape(
         (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))), *lengths
     )
@@ -400,7 +400,7 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
         path, branch = _split_hand(search, path, side)
     else:
         path = _split_toes(search, path)
-    joint_roles = split_limb(body, path, _LIMB_SHAPES[limb], branch)
+    joint_roles = split_limb(body, path, _SHAPE_BY_LIMB[limb], branch)
     for j, role_of_joint in zip(path, joint_roles, strict=True):
         search.set_role(j, "" if body.joint_kinds[j] == CONTROL else role_of_joint)
     hand_joints = list(compress(path, (r == f"hand_{side}" for r in joint_roles)))

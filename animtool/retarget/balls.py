@@ -31,7 +31,7 @@ def find_balls(
     foot better. A foot without an end joint takes the other skeleton's ball, scaled.
     A foot is left out if neither skeleton shows its ball.
     """
-    balls = {}
+    ball_by_side = {}
     for side in "lr":
         leg, other_leg = skeleton.leg(side), other_skeleton.leg(side)
         if leg is None:
@@ -51,8 +51,8 @@ def find_balls(
                 continue
             ankle_to_ball = toeless_ball
         offset = so3.rotate(so3.conjugate(skeleton.rotations[foot]), ankle_to_ball)
-        balls[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
-    return balls
+        ball_by_side[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
+    return ball_by_side
 
 
 def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:

@@ -300,7 +300,7 @@ def _check_distinct_joints(
 
 def _refuse_swapped_map(
     file: MapFile,
-    rigs: Mapping[str, Rig],
+    rig_by_side: Mapping[str, Rig],
     joints_by_side: Mapping[str, Mapping[str, int]],
 ) -> None:
     """Raise a single fault if a map has source and target swapped (MAP001)."""
@@ -314,7 +314,7 @@ def _refuse_swapped_map(
             return
     name = names[0]
     message = "source and target are swapped in this map: its targets, such as "
-    message += f"{name!r}, are joints of the source {rigs['source'].name!r}"
+    message += f"{name!r}, are joints of the source {rig_by_side['source'].name!r}"
     hint = "swap the two names in each entry, or retarget in the other direction"
     document.add("MAP001", ("joints", 0), message, hint)
     document.check()

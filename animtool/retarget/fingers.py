@@ -36,12 +36,12 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
         assigned_joints |= set(paths[i])
     thumb_paths = (joints_by_path[i] for i in order if digits[i] == "thumb")
     thumb_length = next(map(len, thumb_paths), 3)
-    roles: dict[int, str] = {}
+    role_by_joint: dict[int, str] = {}
     for i in order:
         if digits[i]:
             path = joints_by_path[i]
-            roles |= _phalanx_roles(body, path, digits[i], side, thumb_length)
-    return roles
+            role_by_joint |= _phalanx_roles(body, path, digits[i], side, thumb_length)
+    return role_by_joint
 
 
 def _digits_of_paths(
@@ -51,8 +51,8 @@ def _digits_of_paths(
     digits = []
     for path in paths:
         names = [role.split("_")[0] for j in path for role in body.votes[j]]
-        digit_counts = Counter(n for n in names if n in {*DIGITS, MITTEN_ROLE})
-        digits.append(digit_counts.most_common(1)[0][0] if digit_counts else "")
+        count_by_digit = Counter(n for n in names if n in {*DIGITS, MITTEN_ROLE})
+        digits.append(count_by_digit.most_common(1)[0][0] if count_by_digit else "")
     if any(digits):
         return digits
     return _digits_by_position(body, paths, hand)
@@ -125,11 +125,11 @@ def _phalanx_roles(
         has_last_bone = body.tip_lengths[path[-1]] > 0
         has_metacarpal = len(path) > 3 and (has_last_bone or len(path) > thumb_length)
         best_start = int(not has_metacarpal)
-    roles = {}
+    role_by_joint = {}
     for i, j in enumerate(path):
         phalanx = i + best_start
         if phalanx > 3:
-            roles[j] = END
+            role_by_joint[j] = END
         elif phalanx >= (digit == "thumb"):
-            roles[j] = f"{digit}_{phalanx}_{side}"
-    return roles
+            role_by_joint[j] = f"{digit}_{phalanx}_{side}"
+    return role_by_joint

@@ -107,14 +107,14 @@ def strip_common_prefix(names: Sequence[str]) -> list[str]:
     """Return names without namespaces and without their common prefix."""
     bare_names = [_NAMESPACE.sub("", name) or name for name in names]
     bare_names = [_PREFIX.sub("", name) for name in bare_names]
-    prefix_counts = Counter(
+    count_by_prefix = Counter(
         name[: separator.end()]
         for name in bare_names
         for separator in re.finditer(r"[ _.\-]+", name)
     )
     common_prefixes = [
         prefix
-        for prefix, count in prefix_counts.items()
+        for prefix, count in count_by_prefix.items()
         if count > max(_MIN_PREFIX_FRACTION * len(bare_names), 2)
         and _split_words(prefix)
         and not any(word.lower() in _SIDE_WORDS for word in _split_words(prefix))
@@ -311,14 +311,16 @@ def role_votes(
         table, weight = common_roles, _WORD_WEIGHT
         if name.name_key in preset_roles:
             table, weight = preset_roles, 1.0
-        weights = dict.fromkeys(table.get(name.name_key, ()), weight)
-        if weights:
+        weight_by_role = dict.fromkeys(table.get(name.name_key, ()), weight)
+        if weight_by_role:
             other_roles = _limb_roles_by_key().get(name.name_key, ())
-            weights = dict.fromkeys(other_roles, _OTHER_CONVENTION_WEIGHT) | weights
+            weight_by_role = (
+                dict.fromkeys(other_roles, _OTHER_CONVENTION_WEIGHT) | weight_by_role
+            )
         suffix = f"_{name.side}" if name.side else ""
         # Sorted, since the order of a set differs between processes.
-        roles = [role for role in sorted(weights) if role + suffix in ROLES]
-        votes.append({role + suffix: weights[role] for role in roles})
+        roles = [role for role in sorted(weight_by_role) if role + suffix in ROLES]
+        votes.append({role + suffix: weight_by_role[role] for role in roles})
     return votes
 
 

@@ -259,16 +259,16 @@ def _crossed_limb_warnings(
 def _shifted_limb_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
-    pairs: Mapping[int, JointPair],
+    pair_by_target: Mapping[int, JointPair],
     warning_at: MapFaultFactory,
 ) -> list[Fault]:
     """Return a warning if a limb's joint follows that of another bone (MAP115).
 
-    ``pairs`` are by joint of the target.
+    ``pair_by_target`` has each pair by the index of its target joint.
     """
     joints_by_role = {role: j for j, role in enumerate(anatomies[1].roles) if role}
     shifted_limbs = []
-    for pair in pairs.values():
+    for pair in pair_by_target.values():
         role = anatomies[0].roles[pair.source]
         target_role = anatomies[1].roles[pair.target]
         bones = (base_role(role), base_role(target_role))
@@ -279,7 +279,7 @@ def _shifted_limb_warnings(
         upper_joint = joints_by_role.get(role)
         if upper_joint is None or target_role not in anatomies[0].roles:
             continue
-        upper_pair = pairs.get(upper_joint)
+        upper_pair = pair_by_target.get(upper_joint)
         if upper_pair is None or upper_pair.source == pair.source:
             shifted_limbs.append((pair, upper_joint, bones[0].replace("_", " ")))
     if not shifted_limbs:
@@ -288,7 +288,7 @@ def _shifted_limb_warnings(
     upper_name, target_name = (rigs[1].names[j] for j in (upper_joint, pair.target))
     source_name = rigs[0].names[pair.source]
     message = f"{target_name!r} follows the {bone} {source_name!r}, "
-    if upper_joint in pairs:
+    if upper_joint in pair_by_target:
         message += f"as {upper_name!r} does"
     else:
         message += f"although {upper_name!r} follows nothing"

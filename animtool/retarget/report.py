@@ -99,7 +99,7 @@ class FitMeter:
         self._angle_statistics = 0.0, 0, 0.0  # sum, count and largest [rad]
         self._reach_error, self._hand_error = math.nan, 0.0
         # Per-frame values by score.
-        self._frame_values: dict[str, list[FloatArray]] = {}
+        self._frame_values_by_score: dict[str, list[FloatArray]] = {}
         self._worst_by_frame: dict[str, FloatArray] = {}
         # Largest accelerations of both so far, and the last frames of both.
         self._max_accelerations = np.zeros(2)
@@ -171,7 +171,7 @@ class FitMeter:
 
     def _add_score(self, score: str, values: FloatArray) -> None:
         """Append the per-frame values ``(F,)`` of a score in one block."""
-        self._frame_values.setdefault(score, []).append(values)
+        self._frame_values_by_score.setdefault(score, []).append(values)
 
     def _both_skeletons(
         self, target: FloatArray, source: FloatArray
@@ -242,7 +242,8 @@ class FitMeter:
         """
         report = self.report(clamped_fractions)
         values_by_score = {
-            name: np.concatenate(blocks) for name, blocks in self._frame_values.items()
+            name: np.concatenate(blocks)
+            for name, blocks in self._frame_values_by_score.items()
         } | self._worst_by_frame
         if "acceleration" in values_by_score:
             # Second differences belong to their middle frame.

@@ -158,13 +158,15 @@ def zero_length_fault(
 
 def _complete_limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
     """Return the joints of a skeleton's complete limbs, by name."""
-    limbs = {}
+    joints_by_limb = {}
     for name, bones in LIMB_BONES.items():
         for side, text in (("l", "left"), ("r", "right")):
             bone_roles = [f"{bone}_{side}" for bone in bones]
             if {*bone_roles} <= {*roles}:
-                limbs[f"{text} {name}"] = [roles.index(role) for role in bone_roles]
-    return limbs
+                joints_by_limb[f"{text} {name}"] = [
+                    roles.index(role) for role in bone_roles
+                ]
+    return joints_by_limb
 
 
 def _body_joints(rig: Rig, roles: tuple[str, ...]) -> list[int]:

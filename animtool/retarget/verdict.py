@@ -119,14 +119,14 @@ class Verdict:
 def assess_take(
     scores: PassScores,
     values_by_score: Mapping[str, FloatArray],
-    source_values: Mapping[str, float],
+    source_value_by_score: Mapping[str, float],
     ignored_errors: Sequence[Fault] = (),
 ) -> Verdict:
     """Return whether a take is usable, and which scores and frames to check.
 
     ``scores`` are those of the full take; ``values_by_score`` ``(F,)`` are per frame,
-    of scores that vary, and ``source_values`` those of the source, where they can be
-    measured. Ignored errors were accepted on request.
+    of scores that vary, and ``source_value_by_score`` those of the source, where they
+    can be measured. Ignored errors were accepted on request.
     """
     if ignored_errors:
         error_reasons = tuple(VerdictReason(fault.message) for fault in ignored_errors)
@@ -138,7 +138,7 @@ def assess_take(
     reasons: list[tuple[float, VerdictReason]] = []
     for score in scores.scores:
         bound = score.ideal + CHECK_FACTOR * (score.usual - score.ideal)
-        source_value = source_values.get(score.name, math.nan)
+        source_value = source_value_by_score.get(score.name, math.nan)
         if not math.isnan(source_value):
             bound = max(bound, source_value)
         if score.value > bound:

@@ -60,7 +60,7 @@ def evaluate_drivers(
     rig = plan.rig
     control_values = dict(controls)
     result = DriverValues({}, {}, {}, {})
-    defaults = {control.name: control.default for control in rig.controls}
+    default_by_control = {control.name: control.default for control in rig.controls}
     for target in (*plan.order, *(f"shape/{name}" for name in plan.shapes)):
         if target in skipped_targets:
             continue
@@ -78,7 +78,7 @@ def evaluate_drivers(
             result.shapes[name] = value
             continue
         if driver is None:
-            value = np.array([defaults[name]]) + value
+            value = np.array([default_by_control[name]]) + value
         control_values[name] = result.controls[name] = value
     return result
 

@@ -113,14 +113,14 @@ def load_remap(path: Path | str) -> RemapFile:
 def parse_remap(document: Document) -> RemapFile:
     """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
     model = validate_file(document, "remap", RemapModel)
-    first_indices: dict[tuple[str, str], int] = {}
+    first_index_by_pair: dict[tuple[str, str], int] = {}
     for i, entry in enumerate(model.shapes):
         shape_pair = (entry.source, entry.target)
-        if shape_pair in first_indices:
+        if shape_pair in first_index_by_pair:
             message = f"{entry.source!r} is paired with {entry.target!r} twice"
-            hint = f"remove it here or from shapes[{first_indices[shape_pair]}]"
+            hint = f"remove it here or from shapes[{first_index_by_pair[shape_pair]}]"
             document.add("FAC002", ("shapes", i), message, hint)
-        first_indices.setdefault(shape_pair, i)
+        first_index_by_pair.setdefault(shape_pair, i)
         if entry.clamp is not None and entry.clamp[0] > entry.clamp[1]:
             message = f"clamp is reversed: {entry.clamp[0]:g} to {entry.clamp[1]:g}"
             document.add("FAC002", ("shapes", i, "clamp"), message, "swap them")

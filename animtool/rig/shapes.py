@@ -62,11 +62,11 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
     ['smile', 'both']
     """
     shapes_by_name = {shape.name: shape for shape in shapes}
-    dependencies = {
+    dependencies_by_shape = {
         shape.name: [name for name in shape.combine if name in shapes_by_name]
         for shape in shapes
     }
-    return [shapes_by_name[name] for name in dependency_order(dependencies)]
+    return [shapes_by_name[name] for name in dependency_order(dependencies_by_shape)]
 
 
 def add_combinations(
@@ -80,11 +80,13 @@ def add_combinations(
     >>> add_combinations(shapes, own)["both"].tolist()
     [0.25, 0.5]
     """
-    weights = {shape.name: uncombined_weights[shape.name] for shape in shapes}
+    weights_by_shape = {shape.name: uncombined_weights[shape.name] for shape in shapes}
     for shape in combination_order(shapes):
         if shape.combine:
-            weights[shape.name] = weights[shape.name] + _product(shape, weights)
-    return weights
+            weights_by_shape[shape.name] = weights_by_shape[shape.name] + _product(
+                shape, weights_by_shape
+            )
+    return weights_by_shape
 
 
 def subtract_combinations(
@@ -106,9 +108,9 @@ def subtract_combinations(
     }
 
 
-def _product(shape: Shape, weights: Mapping[str, FloatArray]) -> FloatArray:
+def _product(shape: Shape, weights_by_shape: Mapping[str, FloatArray]) -> FloatArray:
     """Return the product of the weights that a shape combines."""
-    product, *other_weights = (weights[name] for name in shape.combine)
+    product, *other_weights = (weights_by_shape[name] for name in shape.combine)
     for weight in other_weights:
         product = product * weight
     return product

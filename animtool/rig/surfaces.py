@@ -251,13 +251,13 @@ class _ArrayStore:
 
     def with_references(self, part: Part, name: str) -> Part:
         """Return a part of a rig whose arrays are references to files."""
-        references: dict[str, Any] = {
+        reference_by_field: dict[str, Any] = {
             key: self._store_array(
                 getattr(part, key), name + suffix, is_integer=key in _INTEGER_FIELDS
             )
             for key, suffix in _ARRAY_SUFFIXES[type(part)].items()
         }
-        return replace(part, **references)
+        return replace(part, **reference_by_field)
 
     def _store_array(
         self, source: ArraySource | None, name: str, *, is_integer: bool

@@ -263,14 +263,14 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
     """
     declared_unit = "deg" if rig.radians_per_unit != 1.0 else "rad"
     intended_unit, factor = OTHER_ANGLE_UNIT_AND_FACTOR[declared_unit]
-    default_values = {
+    default_by_control = {
         control.name: np.array([control.default]) for control in rig.controls
     }
     for control in rig.controls:
         for k, drive in enumerate(control.drives):
             if not drive.is_angle:
                 continue
-            largest_value = _max_drive_value(control, drive, default_values)
+            largest_value = _max_drive_value(control, drive, default_by_control)
             if not _is_in_other_unit(rig, largest_value, drive.target):
                 continue
             message = (
@@ -285,7 +285,7 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             location = ("controls", control_names.index(control.name), "drives", k)
             document.warn("RIG112", location, message, hint)
             return
-    joint_entry_indices = {
+    entry_index_by_joint = {
         entry.get("name"): i for i, entry in enumerate(document.value.get("joints", ()))
     }
     for joint in rig.joints:
@@ -293,7 +293,7 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             continue
         target = f"joint/{joint.name}.angle"
         largest_value = _max_driver_value(rig, joint.driven)
-        if joint.name not in joint_entry_indices or not _is_in_other_unit(
+        if joint.name not in entry_index_by_joint or not _is_in_other_unit(
             rig, largest_value, target
         ):
             continue
@@ -302,7 +302,7 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             f"{ANGLE_NAMES[intended_unit]}, but units.angle is {declared_unit}"
         )
         hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
-        i = joint_entry_indices[joint.name]
+        i = entry_index_by_joint[joint.name]
         document.warn("RIG112", ("joints", i, "driven"), message, hint)
         return
 
@@ -345,16 +345,16 @@ def _input_ends(rig: Rig, name: str) -> tuple[float, ...]:
 
 
 def _max_drive_value(
-    control: Control, drive: Drive, default_values: dict[str, FloatArray]
+    control: Control, drive: Drive, default_by_control: dict[str, FloatArray]
 ) -> float:
     """Return a drive's largest value over its control's range [file's angle]."""
     if control.low is None or control.high is None:
         return 0.0
-    range_values = {
-        **default_values,
+    values_by_control = {
+        **default_by_control,
         control.name: np.array([control.low, control.high]),
     }
-    values = np.abs(drive.evaluate(control.name, range_values) / drive.unit)
+    values = np.abs(drive.evaluate(control.name, values_by_control) / drive.unit)
     return float(values.max()) if np.isfinite(values).all() else 0.0
 
 

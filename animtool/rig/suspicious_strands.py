@@ -23,9 +23,9 @@ MIN_REVERSED_FRACTION = 0.8
 
 def warn_of_strands(document: Document, model: RigModel, rig: Rig) -> None:
     """Warn of strands whose tips are at the surface, and not their roots (RIG119)."""
-    attachments = {entry.name: entry for entry in rig.attach}
+    attachment_by_name = {entry.name: entry for entry in rig.attach}
     for i, entry in enumerate(model.attach):
-        attachment = attachments.get(entry.name)
+        attachment = attachment_by_name.get(entry.name)
         if attachment is None or attachment.kind != AttachKind.STRANDS:
             continue
         try:

@@ -247,14 +247,16 @@ class _EntryFormatter:
         """Return a driver as a YAML mapping in the file's units, or None."""
         if driver is None:
             return None
-        units = {None: 1.0, JointType.PRISMATIC: self.length_unit}
-        factor = driver.unit / units.get(joint_type, self.angle_unit)
+        unit_by_joint_type = {None: 1.0, JointType.PRISMATIC: self.length_unit}
+        factor = driver.unit / unit_by_joint_type.get(joint_type, self.angle_unit)
         unit_of = self.unit_of_coordinate
-        ratios = {name: unit_of(name) / driver.unit_of(name) for name in driver.names}
+        ratio_by_input = {
+            name: unit_of(name) / driver.unit_of(name) for name in driver.names
+        }
         if driver.expression is not None:
-            text = _expression_text(driver.expression, ratios, factor)
+            text = _expression_text(driver.expression, ratio_by_input, factor)
             return _flow_mapping(expr=text)
-        ratio = ratios[driver.curve_input]
+        ratio = ratio_by_input[driver.curve_input]
         points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _flow_mapping(
             by=yaml_scalar(driver.curve_input),
@@ -274,16 +276,18 @@ def _mirrors_drivers(rig: Rig) -> bool:
     """Return whether the drivers of both sides are mirror images."""
     if not rig.is_driven:
         return True
-    joints = {joint.name: joint for joint in rig.joints}
-    partners = {joint.name: joint.mirror for joint in rig.joints if joint.mirror}
+    joint_by_name = {joint.name: joint for joint in rig.joints}
+    partner_by_joint = {
+        joint.name: joint.mirror for joint in rig.joints if joint.mirror
+    }
     written_names: set[str] = set()
     for joint in rig.joints:
-        partner = joints.get(joint.mirror)
+        partner = joint_by_name.get(joint.mirror)
         if partner is None or joint.mirror in written_names:
             continue
         written_names.add(joint.name)
         driver = joint.driven
-        mirrored_driver = None if driver is None else driver.mirrored(partners)
+        mirrored_driver = None if driver is None else driver.mirrored(partner_by_joint)
         if mirrored_driver != partner.driven:
             return False
     return True
@@ -291,14 +295,14 @@ def _mirrors_drivers(rig: Rig) -> bool:
 
 def _explicit_bind(rig: Rig) -> dict[str, Pose]:
     """Return the bind poses that differ from rest by more than rounding."""
-    poses = {}
+    pose_by_joint = {}
     for name, pose in rig.bind.items():
         joint = rig.joints[rig.index(name)]
         rest_pose = (joint.translation, joint.rotation)
         is_rounding = pose.stretch is not None and _stretch_text(pose) is None
         if not (is_rounding and (pose.translation, pose.rotation) == rest_pose):
-            poses[name] = pose
-    return poses
+            pose_by_joint[name] = pose
+    return pose_by_joint
 
 
 def _stretch_text(pose: Pose) -> str | None:
@@ -377,15 +381,17 @@ def _array_path(source: ArraySource | None) -> str | None:
 
 
 def _expression_text(
-    expression: Expression, factors: Mapping[str, float], factor: float
+    expression: Expression, factor_by_name: Mapping[str, float], factor: float
 ) -> str:
     """Return an expression as a YAML scalar in quotes.
 
     Its names and its result are multiplied by factors; factors of 1 keep its spelling.
     """
     text = expression.text
-    if factor != 1.0 or any(name_factor != 1.0 for name_factor in factors.values()):
-        text = expression.scaled_text(factors, factor)
+    if factor != 1.0 or any(
+        name_factor != 1.0 for name_factor in factor_by_name.values()
+    ):
+        text = expression.scaled_text(factor_by_name, factor)
     escaped_text = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped_text}"'
 

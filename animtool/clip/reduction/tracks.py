@@ -101,9 +101,11 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     is_valid_order = bvh_order in euler.ORDERS
     if is_valid_order and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE:
         return bvh_order
-    lock_cosines = {order: _lock_cosine(rotations, order) for order in euler.ORDERS}
+    lock_cosine_by_order = {
+        order: _lock_cosine(rotations, order) for order in euler.ORDERS
+    }
     # Rounded, so that ties do not depend on the last digit.
-    return max(euler.ORDERS, key=lambda order: round(lock_cosines[order], 6))
+    return max(euler.ORDERS, key=lambda order: round(lock_cosine_by_order[order], 6))
 
 
 def find_tracks(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:

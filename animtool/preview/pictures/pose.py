@@ -82,7 +82,7 @@ class PosedTake:
         self.is_visible, self.bounds_radius = True, 1.0
         self.root = self._find_root()
         self.trail_joints = self._trail_joints()
-        self._paths: dict[int, FloatArray] = {}
+        self._positions_by_sample: dict[int, FloatArray] = {}
 
     def _find_root(self) -> int:
         """Return the first joint with animated translation, else the first joint."""
@@ -169,18 +169,20 @@ class PosedTake:
 
     def trail_positions(self, first_sample: int, last_sample: int) -> FloatArray:
         """Return positions of the trail joints in a range of samples ``(F, T, 3)``."""
-        previous_paths = self._paths
+        previous_positions = self._positions_by_sample
         # Positions that the next picture of a film needs are kept.
-        self._paths = {
-            i: previous_paths[i]
+        self._positions_by_sample = {
+            i: previous_positions[i]
             for i in range(first_sample, last_sample + 1)
-            if i in previous_paths
+            if i in previous_positions
         }
         for sample in range(first_sample, last_sample + 1):
-            if sample not in self._paths:
+            if sample not in self._positions_by_sample:
                 world = self._posed_matrices(sample)
-                self._paths[sample] = world[self.trail_joints, :3, 3]
-        return np.stack([self._paths[i] for i in range(first_sample, last_sample + 1)])
+                self._positions_by_sample[sample] = world[self.trail_joints, :3, 3]
+        return np.stack(
+            [self._positions_by_sample[i] for i in range(first_sample, last_sample + 1)]
+        )
 
     def contacts_at(self, codes: FloatArray) -> BoolArray:
         """Return whether trail joints touch the ground at time codes ``(F, T)``."""

@@ -77,9 +77,11 @@ class SceneRenderer:
         # The take that the camera follows; None if none has joints.
         has_joints = bool(self._poses) and self._poses[0].joint_count > 0
         self._main_pose = self._poses[0] if has_joints else None
-        geometries: dict[tuple[Any, ...], Any] = {}
+        geometry_by_streams: dict[tuple[Any, ...], Any] = {}
         self._meshes = [
-            MeshRenderer(device, streams, mesh, self._pose_of_entry(mesh), geometries)
+            MeshRenderer(
+                device, streams, mesh, self._pose_of_entry(mesh), geometry_by_streams
+            )
             for mesh in manifest["meshes"]
         ]
         self._instances = [

@@ -105,12 +105,12 @@ class MeshRenderer:
         streams: StreamReader,
         manifest_entry: dict[str, Any],
         pose: PosedTake | None,
-        geometries: dict[tuple[Any, ...], GeometryBuffers],
+        geometry_by_streams: dict[tuple[Any, ...], GeometryBuffers],
     ) -> None:
         self._device, self._streams = device, streams
         self.manifest_entry, self.pose = manifest_entry, pose
         self.is_prototype = bool(manifest_entry.get("prototype"))
-        self.geometry = self._shared_geometry(geometries)
+        self.geometry = self._shared_geometry(geometry_by_streams)
         self._drawn_points = self.geometry.rest_points
         self._shapes = [
             (
@@ -138,7 +138,7 @@ class MeshRenderer:
             self._array = self.vertex_array([])
 
     def _shared_geometry(
-        self, geometries: dict[tuple[Any, ...], GeometryBuffers]
+        self, geometry_by_streams: dict[tuple[Any, ...], GeometryBuffers]
     ) -> GeometryBuffers:
         """Return the buffers of the rest mesh, shared with equal undeformed meshes."""
         manifest_entry, skin = (
@@ -152,11 +152,11 @@ class MeshRenderer:
             [manifest_entry.get(name) for name in stream_names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
         )
-        if geometry_key not in geometries:
-            geometries[geometry_key] = GeometryBuffers(
+        if geometry_key not in geometry_by_streams:
+            geometry_by_streams[geometry_key] = GeometryBuffers(
                 self._device, self._streams, manifest_entry
             )
-        return geometries[geometry_key]
+        return geometry_by_streams[geometry_key]
 
     def vertex_array(self, extra_buffers: list[tuple[Any, str, str]]) -> Any:
         """Return the vertex array of the mesh, with extra buffers appended."""
