@@ -12,10 +12,10 @@ from animtool.ik.report import OVERFLOW_DISTANCE, status_text
 from animtool.report.text import SECONDS, Each, Template
 
 if TYPE_CHECKING:
-    from animtool.ik.report import Misses
+    from animtool.ik.report import MissStatistics
 
 
-def _miss_text(miss: Misses, statistic: str) -> str:
+def _miss_text(miss: MissStatistics, statistic: str) -> str:
     """Format a figure of missed goals as a length or an angle."""
     value = getattr(miss, statistic)
     if miss.is_length and not math.isfinite(value):

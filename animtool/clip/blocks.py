@@ -48,11 +48,11 @@ def sample_blocks(
     if len(times) <= block_size:
         yield sample_channels(channels, rig, times, clamp=clamp)
         return
-    starts = range(0, len(times), block_size)
+    block_starts = range(0, len(times), block_size)
     # Each begins with the last time of the one before: signs and moves continue there.
     time_spans = [
         times[max(0, block_start - 1) : block_start + block_size]
-        for block_start in starts
+        for block_start in block_starts
     ]
     layout = _find_layout(channels, rig, time_spans, clamp=clamp)
     sampler = _BlockSampler(channels, rig, clamp)
@@ -69,7 +69,7 @@ class _BlockSampler:
     channels: Sequence[ClipChannel]
     rig: Rig
     clamp: bool
-    _worst_notices: dict[tuple[str, str], ClipNotice] = field(
+    _worst_notice_by_target: dict[tuple[str, str], ClipNotice] = field(
         default_factory=dict, init=False
     )
     _driver_run: DriverRun | None = field(default=None, init=False)
@@ -91,17 +91,17 @@ class _BlockSampler:
         for notice in sampled_motion.clip_notices:
             key = notice.fault.code, notice.target
             if (
-                key not in self._worst_notices
-                or notice.excess > self._worst_notices[key].excess
+                key not in self._worst_notice_by_target
+                or notice.excess > self._worst_notice_by_target[key].excess
             ):
-                self._worst_notices[key] = notice
+                self._worst_notice_by_target[key] = notice
         return sampled_motion.motion
 
     def notices(self, times: FloatArray) -> list[ClipNotice]:
         """Return the worst notice of each target, given the ``times`` of all blocks."""
         notices = [
             with_keys(notice, self.channels, self.rig, times)
-            for notice in self._worst_notices.values()
+            for notice in self._worst_notice_by_target.values()
         ]
         driver_notices = (
             [] if self._driver_run is None else self._driver_run.located_notices()
@@ -134,7 +134,7 @@ class _BlockLayout:
     """Masks of the rows that move in any block, by channel name."""
 
     is_moving_by_part: dict[str, BoolArray] = field(default_factory=dict)
-    _rest_values: dict[str, FloatArray] = field(default_factory=dict, init=False)
+    _rest_by_channel: dict[str, FloatArray] = field(default_factory=dict, init=False)
     # Rotations at the end of the block before.
     _last_rotations: FloatArray = field(default_factory=so3.IDENTITY.copy, init=False)
 
@@ -159,13 +159,13 @@ class _BlockLayout:
 
         The first ``skipped_frames`` of the block are in the previous block already.
         """
-        channels: dict[str, Any] = {
+        channel_by_name: dict[str, Any] = {
             part: self._arrange_channel(
                 part, getattr(motion, part), motion.frames, skipped_frames
             )
             for part in self.is_moving_by_part
         }
-        return replace(motion, **channels)
+        return replace(motion, **channel_by_name)
 
     def _arrange_channel(
         self, part: str, channel: Channel | None, frames: int, skipped_frames: int
@@ -174,7 +174,7 @@ class _BlockLayout:
         if channel is None:
             row_count = len(self.is_moving_by_part[part])
             channel = Channel.static(np.zeros((row_count, 1)), frames)
-        rest = self._rest_values.setdefault(part, channel.rest)
+        rest = self._rest_by_channel.setdefault(part, channel.rest)
         animated_rows = np.flatnonzero(self.is_moving_by_part[part])
         is_complete = np.array_equal(channel.animated, animated_rows)
         values = channel.values if is_complete else channel.gather(animated_rows)
@@ -192,14 +192,14 @@ class _BlockLayout:
 def _find_layout(
     channels: Sequence[ClipChannel],
     rig: Rig,
-    spans: Sequence[FloatArray],
+    time_spans: Sequence[FloatArray],
     *,
     clamp: bool,
 ) -> _BlockLayout:
-    """Return the rows that move in any span; stop once all keyed rows have moved."""
+    """Return the layout of rows that move in a span; stop once all keyed rows moved."""
     layout, sampler = _BlockLayout(), _BlockSampler(channels, rig, clamp)
     targets = _moving_targets(channels, rig)
-    for span in spans:
+    for span in time_spans:
         layout.add_moving_parts(sampler.sample_motion(span))
         if targets is not None and layout.covers(targets):
             break
@@ -218,14 +218,14 @@ def _moving_targets(
     )
     if has_indirect_motion:
         return None
-    shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
+    shape_index_by_name = {shape.name: i for i, shape in enumerate(rig.shapes)}
     targets = set()
     for channel in channels:
         if is_static(channel):
             continue
         group, _, name = channel.target.partition("/")
         if group == "shape":
-            targets.add(("weights", shapes[name]))
+            targets.add(("weights", shape_index_by_name[name]))
             continue
         joint, part = split_part(name, KEYED_PARTS)
         component = {"angle": "rotation", "slide": "translation"}.get(part, part)

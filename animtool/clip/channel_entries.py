@@ -219,8 +219,8 @@ class CurveReader:
         locations += [
             (("keys", k), key, ("in_", "out", "tcb")) for k, key in enumerate(keys)
         ]
-        for location, entry, names in locations:
-            for name in names:
+        for location, entry, field_names in locations:
+            for name in field_names:
                 if name in entry.model_fields_set:
                     key = name.rstrip("_")
                     message = f"quaternions have no {key}"
@@ -344,8 +344,12 @@ def _form_hint(model: CurveModel, component_count: int) -> str:
     """Return a hint with the form of a key's value."""
     if component_count == 1:
         return "write one number"
-    forms = {3: "x, y, z", 4: "w, x, y, z"}
-    form = ", ".join(model.euler.lower()) if model.euler else forms[component_count]
+    form_by_width = {3: "x, y, z", 4: "w, x, y, z"}
+    form = (
+        ", ".join(model.euler.lower())
+        if model.euler
+        else form_by_width[component_count]
+    )
     return f"write [{form}]"
 
 

@@ -66,8 +66,8 @@ local_rotation, scale
     if group in {"control", "shape"} and name:
         if rig is None:
             return group
-        names = rig.control_names if group == "control" else rig.shape_names
-        if name not in names:
+        known_names = rig.control_names if group == "control" else rig.shape_names
+        if name not in known_names:
             named_parts = rig.controls if group == "control" else rig.shapes
             nearest_hint = name_hint(name, [part.name for part in named_parts])
             hint = _full_target(name, rig) or nearest_hint
@@ -138,15 +138,17 @@ MIN_UNKNOWN_TARGETS = 3
 
 def unknown_targets(targets: Iterable[str], rig: Rig) -> list[str]:
     """Return the targets whose joint, shape or control a rig lacks (CLIP002)."""
-    kinds = {target: target_kind(target, rig) for target in targets}
+    kind_by_target = {target: target_kind(target, rig) for target in targets}
     return [
         target
-        for target, kind in kinds.items()
+        for target, kind in kind_by_target.items()
         if isinstance(kind, Fault) and kind.code == "CLIP002"
     ]
 
 
-def lacks_most_targets(missing: Sequence[str], target_count: int, rig: Rig) -> bool:
+def lacks_most_targets(
+    missing_targets: Sequence[str], target_count: int, rig: Rig
+) -> bool:
     """Return whether a rig lacks so many targets that they are another rig's."""
     names_by_group = {
         "joint": rig.names,
@@ -156,7 +158,7 @@ def lacks_most_targets(missing: Sequence[str], target_count: int, rig: Rig) -> b
     are_similar = [
         _full_target(name, rig) is not None
         or most_similar(name, names_by_group[group]) is not None
-        for group, name in map(_group_and_name, missing)
+        for group, name in map(_group_and_name, missing_targets)
     ]
     return belong_elsewhere(are_similar, target_count, MIN_UNKNOWN_TARGETS)
 
@@ -167,12 +169,16 @@ def _group_and_name(target: str) -> tuple[str, str]:
     return group, split_part(name, KEYED_PARTS)[0] if group == "joint" else name
 
 
-def missing_targets_text(missing: Sequence[str], target_count: int, rig: Rig) -> str:
+def missing_targets_text(
+    missing_targets: Sequence[str], target_count: int, rig: Rig
+) -> str:
     """Return how many targets a rig lacks, and the first of them."""
     text = f"has none of the {target_count} targets"
-    if len(missing) < target_count:
-        text = f"lacks {len(missing)} of the {target_count} targets"
-    subjects = (f"{group} {name!r}" for group, name in map(_group_and_name, missing))
+    if len(missing_targets) < target_count:
+        text = f"lacks {len(missing_targets)} of the {target_count} targets"
+    subjects = (
+        f"{group} {name!r}" for group, name in map(_group_and_name, missing_targets)
+    )
     return f"rig {rig.name!r} {text}: {listed(list(dict.fromkeys(subjects)), 4)}"
 
 
@@ -197,9 +203,9 @@ def check_targets(
     """
     kinds_or_faults = [target_kind(target, rig) for target in targets]
     faults = [result for result in kinds_or_faults if isinstance(result, Fault)]
-    missing = unknown_targets(targets, rig)
-    if lacks_most_targets(missing, len(targets), rig):
-        message = missing_targets_text(missing, len(targets), rig)
+    missing_targets = unknown_targets(targets, rig)
+    if lacks_most_targets(missing_targets, len(targets), rig):
+        message = missing_targets_text(missing_targets, len(targets), rig)
         hint = "is it the right rig?"
         if clip_rig_path is not None:
             hint = f"the clip names {clip_rig_path}; {hint}"
@@ -310,25 +316,29 @@ def evaluate_channels(
     There is one channel per target. Rotations are quaternions (x, y, z, w); Euler
     angles are converted. Ascending times are fastest.
     """
-    values: dict[str, FloatArray] = {}
+    values_by_target: dict[str, FloatArray] = {}
     number_channels: list[ClipChannel] = []
     quaternion_channels: list[ClipChannel] = []
     for channel in channels:
         if is_static(channel):
-            values[channel.target] = _as_quaternions(channel, channel.values[:1])
+            values_by_target[channel.target] = _as_quaternions(
+                channel, channel.values[:1]
+            )
         elif channel.values.shape[1] == 4:
             quaternion_channels.append(channel)
         else:
             number_channels.append(channel)
-    values |= _evaluate_rotation_channels(quaternion_channels, times)
+    values_by_target |= _evaluate_rotation_channels(quaternion_channels, times)
     if number_channels:
         curve_values = evaluate(component_curves(number_channels), times)
         start = 0
         for channel in number_channels:
             end = start + channel.values.shape[1]
-            values[channel.target] = _as_quaternions(channel, curve_values[start:end].T)
+            values_by_target[channel.target] = _as_quaternions(
+                channel, curve_values[start:end].T
+            )
             start = end
-    return {channel.target: values[channel.target] for channel in channels}
+    return {channel.target: values_by_target[channel.target] for channel in channels}
 
 
 def _evaluate_rotation_channels(
@@ -342,7 +352,7 @@ def _evaluate_rotation_channels(
             channel
         )
     batch_size = max(1, ROTATION_BATCH_SIZE // max(len(times), 1))
-    values: dict[str, FloatArray] = {}
+    values_by_target: dict[str, FloatArray] = {}
     batches = (
         same_timing[start : start + batch_size]
         for same_timing in channels_by_timing.values()
@@ -359,8 +369,10 @@ def _evaluate_rotation_channels(
             first_channel.post,
         )
         batch_rotations = np.ascontiguousarray(rotations.swapaxes(0, 1))
-        values |= {c.target: r for c, r in zip(batch, batch_rotations, strict=True)}
-    return values
+        values_by_target |= {
+            c.target: r for c, r in zip(batch, batch_rotations, strict=True)
+        }
+    return values_by_target
 
 
 def is_static(channel: ClipChannel) -> bool:

@@ -205,7 +205,7 @@ def clip_text(clip: Clip, rig: Rig, rig_file: str) -> str:
 
 
 def _units_to_write(clip: Clip, rig: Rig) -> ClipUnits:
-    """Return the units to write a clip in."""
+    """Return the units of the written file: the rig's if numbers round-trip in them."""
     rig_units = ClipUnits.of_rig(rig)
     lengths = _numbers_in(clip, ClipUnits(math.nan, 1.0))
     angles = _numbers_in(clip, ClipUnits(1.0, math.nan))

@@ -41,10 +41,14 @@ def uncombined_weights_of(take: Take, rig: Rig) -> dict[str, FloatArray]:
 
     The products that combination shapes get from their drivers are subtracted.
     """
-    names = [shape.name for shape in rig.shapes]
+    shape_names = [shape.name for shape in rig.shapes]
     weights = take.motion.weights
-    values = np.zeros((1, len(names))) if weights is None else weights.dense()[..., 0]
-    return subtract_combinations(rig.shapes, dict(zip(names, values.T, strict=True)))
+    weight_values = (
+        np.zeros((1, len(shape_names))) if weights is None else weights.dense()[..., 0]
+    )
+    return subtract_combinations(
+        rig.shapes, dict(zip(shape_names, weight_values.T, strict=True))
+    )
 
 
 def solve_take_controls(
@@ -57,39 +61,51 @@ def solve_take_controls(
     """
     frame_count, controls = take.motion.frames, keyable_controls(rig)
     take_controls = take.motion.controls
-    start_values = {c.name: np.full(frame_count, c.default) for c in controls}
-    defaults = dict(start_values)
+    start_by_control = {c.name: np.full(frame_count, c.default) for c in controls}
+    defaults_by_control = dict(start_by_control)
     if take_controls is not None:
-        start_values |= keys_of_control_channel(controls, take_controls)
+        start_by_control |= keys_of_control_channel(controls, take_controls)
     if rig.is_driven:
-        start_values |= {name: defaults[name] for name in plan_of(rig).controls}
-    start_targets = evaluate_controls(controls, start_values).targets
-    goals, unreachable_targets = required_control_values(
+        start_by_control |= {
+            name: defaults_by_control[name] for name in plan_of(rig).controls
+        }
+    start_targets = evaluate_controls(controls, start_by_control).targets
+    goal_by_target, unreachable_targets = required_control_values(
         rig, joints, set(start_targets), start_targets, tolerances
     )
     weights_by_shape = uncombined_weights_of(take, rig)
     for shape, value in weights_by_shape.items():
         if f"shape/{shape}" in start_targets:
-            goals[f"shape/{shape}"] = value
-    goals = {t: np.broadcast_to(value, (frame_count,)) for t, value in goals.items()}
-    tolerance_of = {target: tolerances.tolerance_of(target) for target in goals}
+            goal_by_target[f"shape/{shape}"] = value
+    goal_by_target = {
+        t: np.broadcast_to(value, (frame_count,)) for t, value in goal_by_target.items()
+    }
+    tolerance_by_target = {
+        target: tolerances.tolerance_of(target) for target in goal_by_target
+    }
     solution = solve_controls(
-        controls, goals, tolerance_of, start_values, keyed_targets=unreachable_targets
+        controls,
+        goal_by_target,
+        tolerance_by_target,
+        start_by_control,
+        keyed_targets=unreachable_targets,
     )
-    values = {
+    values_by_control = {
         c.name: _snap_to_constant(solution.values[c.name], c.default) for c in controls
     }
     reset_names = () if take_controls is not None else solution.reset_names
-    return SolvedControls(values, solution.solved_names, reset_names)
+    return SolvedControls(values_by_control, solution.solved_names, reset_names)
 
 
 def keys_of_control_channel(
     controls: Sequence[Control], channel: Channel
 ) -> dict[str, FloatArray]:
     """Return the values of keys ``(F,)`` that produce a motion's control values."""
-    columns = channel.dense()[..., 0].T
-    values = {c.name: column for c, column in zip(controls, columns, strict=True)}
-    return keys_of_controls(controls, values)
+    value_columns = channel.dense()[..., 0].T
+    values_by_control = {
+        c.name: column for c, column in zip(controls, value_columns, strict=True)
+    }
+    return keys_of_controls(controls, values_by_control)
 
 
 def keyable_controls(rig: Rig) -> Sequence[Control]:
@@ -116,7 +132,7 @@ def keyable_controls(rig: Rig) -> Sequence[Control]:
 
 
 def _snap_to_constant(values: FloatArray, default: float) -> FloatArray:
-    """Remove rounding noise: snap values to the default or to a constant."""
+    """Return values ``(F,)`` without rounding noise about the default or a constant."""
     tolerance = RELATIVE_ROUNDING * max(1.0, float(np.abs(values).max(initial=0.0)))
     values = np.where(np.abs(values - default) <= tolerance, default, values)
     is_constant = np.ptp(values) <= tolerance
@@ -141,47 +157,59 @@ class FittedControls:
 def fit_controls(
     take: Take,
     rig: Rig,
-    solved_values: Mapping[str, FloatArray],
+    solved_by_control: Mapping[str, FloatArray],
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
     bounds: FloatArray,
     weight_tolerance: float,
 ) -> FittedControls:
     """Return sparse keys of controls that move joints and shapes within tolerances.
 
-    ``solved_values`` ``(F,)``, ``bounds`` ``(J,)`` [m], ``weight_tolerance`` [1].
+    ``solved_by_control`` has the exact values of each control ``(F,)``; ``bounds``
+    ``(J,)`` [m] and ``weight_tolerance`` [1] are the largest errors allowed.
     """
-    defaults = {control.name: control.default for control in rig.controls}
-    changed_values = {
-        n: solved_values[n] for n in defaults if (solved_values[n] != defaults[n]).any()
+    default_by_name = {control.name: control.default for control in rig.controls}
+    changed_by_control = {
+        n: solved_by_control[n]
+        for n in default_by_name
+        if (solved_by_control[n] != default_by_name[n]).any()
     }
     moving_names = [
-        n for n, values in changed_values.items() if (values != values[0]).any()
+        n for n, values in changed_by_control.items() if (values != values[0]).any()
     ]
     control_errors = _ControlErrors(
-        take, rig, solved_values, keyed_tracks, bounds, weight_tolerance
+        take, rig, solved_by_control, keyed_tracks, bounds, weight_tolerance
     )
-    tolerances = {name: control_errors.initial_tolerance(name) for name in moving_names}
-    keys: dict[str, FittedKeys] = {}
-    values: dict[str, FloatArray] = {}
+    tolerance_by_name = {
+        name: control_errors.initial_tolerance(name) for name in moving_names
+    }
+    keys_by_name: dict[str, FittedKeys] = {}
+    values_by_target: dict[str, FloatArray] = {}
     for attempt in range(MAX_REFINEMENTS):
-        keys = {
-            name: fit_keys(column[:, None], tolerances[name])
-            if name in tolerances
+        keys_by_name = {
+            name: fit_keys(column[:, None], tolerance_by_name[name])
+            if name in tolerance_by_name
             else fit_keys(column[:1, None], 1.0)
-            for name, column in changed_values.items()
+            for name, column in changed_by_control.items()
         }
         frames = np.arange(take.motion.frames)
-        values = {f"control/{n}": evaluate_keys(f, frames) for n, f in keys.items()}
-        ratio = control_errors.error_ratio(values) if moving_names else 0.0
+        values_by_target = {
+            f"control/{n}": evaluate_keys(f, frames) for n, f in keys_by_name.items()
+        }
+        ratio = control_errors.error_ratio(values_by_target) if moving_names else 0.0
         if ratio <= CONTROL_FRACTION:
             break
         is_last = attempt >= MAX_REFINEMENTS - 2
         factor = 1e-9 if is_last else 0.8 * CONTROL_FRACTION / ratio
-        tolerances = {n: max(t * factor, 1e-13) for n, t in tolerances.items()}
+        tolerance_by_name = {
+            n: max(t * factor, 1e-13) for n, t in tolerance_by_name.items()
+        }
     channels = [
-        ReducedChannel(f"control/{name}", None, keys[name]) for name in changed_values
+        ReducedChannel(f"control/{name}", None, keys_by_name[name])
+        for name in changed_by_control
     ]
-    return FittedControls(channels, values, take.motion.frames * len(moving_names))
+    return FittedControls(
+        channels, values_by_target, take.motion.frames * len(moving_names)
+    )
 
 
 class _ControlErrors:
@@ -191,36 +219,36 @@ class _ControlErrors:
         self,
         take: Take,
         rig: Rig,
-        solved_values: Mapping[str, FloatArray],
+        solved_by_control: Mapping[str, FloatArray],
         keyed_tracks: frozenset[tuple[ChannelKind, int]],
         bounds: FloatArray,
         weight_tolerance: float,
     ) -> None:
         self.take, self.rig, self.keyed_tracks = take, rig, keyed_tracks
         self.exact_values = {
-            f"control/{n}": v[:, None] for n, v in solved_values.items()
+            f"control/{n}": v[:, None] for n, v in solved_by_control.items()
         }
         self.bounds, self.weight_tolerance = bounds, weight_tolerance
         self.points = attached_points(rig, SHELL_DISTANCE)
 
     def error_ratio(
-        self, values: Mapping[str, FloatArray], frames: IntArray | None = None
+        self, values_by_target: Mapping[str, FloatArray], frames: IntArray | None = None
     ) -> float:
         """Return the largest error that control values cause, over the tolerance."""
         take, rig = self.take, self.rig
         frame_indices = np.arange(take.motion.frames) if frames is None else frames
         times = take.clock.times[frame_indices]
 
-        def motion_of(values: Mapping[str, FloatArray]) -> Motion:
+        def motion_of(values_by_target: Mapping[str, FloatArray]) -> Motion:
             """Return the motion that control values cause in the frames."""
             selected_values = {
                 name: value[frame_indices] if len(value) > 1 else value
-                for name, value in values.items()
+                for name, value in values_by_target.items()
             }
             return sample_values(selected_values, rig, times).motion
 
         exact_motion = motion_of(self.exact_values)
-        trial_motion = motion_of({**self.exact_values, **values})
+        trial_motion = motion_of({**self.exact_values, **values_by_target})
         exact_pose = take.motion.select(frame_indices)
         driven_motion = driven_pose(
             exact_pose, trial_motion, exact_motion, self.keyed_tracks
@@ -242,23 +270,23 @@ class _ControlErrors:
         return CONTROL_FRACTION * increment / ratio if ratio > 0 else 1e-3 * increment
 
 
-def largest_weight_error(motion: Motion, other: Motion) -> float:
+def largest_weight_error(motion: Motion, other_motion: Motion) -> float:
     """Return the largest difference of the shape weights of two motions [1]."""
     weights = [
         np.zeros((1, 1, 1)) if m.weights is None else m.weights.dense()
-        for m in (motion, other)
+        for m in (motion, other_motion)
     ]
     return float(np.abs(weights[0] - weights[1]).max(initial=0.0))
 
 
 def driven_pose(
     motion: Motion,
-    controls: Motion,
-    exact_controls: Motion,
+    fitted_motion: Motion,
+    exact_motion: Motion,
     keyed_tracks: frozenset[tuple[ChannelKind, int]],
 ) -> Motion:
     """Return a motion whose control-driven joints follow the fitted controls."""
-    motions = motion, controls, exact_controls
+    motions = motion, fitted_motion, exact_motion
     keyed_translations, keyed_rotations = (
         {j for keyed_kind, j in keyed_tracks if keyed_kind is kind}
         for kind in (ChannelKind.TRANSLATION, ChannelKind.ROTATION)

@@ -171,7 +171,7 @@ def required_control_values(
     The values ``(F or 1,)`` are by target. Targets are unreachable if their joints also
     move along axes that no control drives.
     """
-    requested_values: dict[str, FloatArray] = {}
+    requested_by_target: dict[str, FloatArray] = {}
     unreachable_targets: set[str] = set()
     for target in sorted(targets):
         group, _, name = target.partition("/")
@@ -185,14 +185,14 @@ def required_control_values(
             columns = [initial_values.get(part, np.zeros(1)) for part in axis_targets]
             initial_vector = np.stack(np.broadcast_arrays(*columns), -1)
             vector = _nearest_revolution(motion.rotation, initial_vector)
-            requested_values[target] = vector[:, "xyz".index(axis)]
+            requested_by_target[target] = vector[:, "xyz".index(axis)]
             other_axes = [i for i in range(3) if axis_targets[i] not in targets]
             if np.abs(vector[:, other_axes]).max(initial=0.0) > tolerances.angle:
                 unreachable_targets.add(target)
         elif kind == "translation":
-            requested_values[target] = motion.translation[:, "xyz".index(axis)]
+            requested_by_target[target] = motion.translation[:, "xyz".index(axis)]
         else:
-            requested_values[target] = motion.coordinate
+            requested_by_target[target] = motion.coordinate
             is_unreachable = (
                 motion.rotation_error > tolerances.angle
                 if kind == "angle"
@@ -200,7 +200,7 @@ def required_control_values(
             )
             if is_unreachable:
                 unreachable_targets.add(target)
-    return requested_values, unreachable_targets
+    return requested_by_target, unreachable_targets
 
 
 def _nearest_revolution(rotation: FloatArray, initial_vector: FloatArray) -> FloatArray:
@@ -227,8 +227,8 @@ def joint_tracks(
     tolerances: Tolerances,
 ) -> list[KeyTrack]:
     """Return key tracks of the joint motion that controls and mimics do not produce."""
-    tracks: dict[int, list[KeyTrack]] = {}
-    coordinates: dict[str, FloatArray] = {}
+    tracks_by_joint: dict[int, list[KeyTrack]] = {}
+    coordinates_by_joint: dict[str, FloatArray] = {}
     mimic_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is not None]
     leader_indices = [j for j, joint in enumerate(rig.joints) if joint.mimic is None]
     for j in (*leader_indices, *mimic_indices):
@@ -239,17 +239,17 @@ def joint_tracks(
         driven_value = keyed_joint.driven_values(COORDINATE_PARTS.get(joint.type, ""))
         if joint.mimic is not None:
             mimic = joint.mimic
-            leader = coordinates.get(mimic.joint, np.zeros(1))
+            leader = coordinates_by_joint.get(mimic.joint, np.zeros(1))
             mimic_value = mimic.gain * leader + mimic.offset
             driven_value = mimic_value if mimic_value.any() else driven_value
-        tracks[j] = list(keyed_joint.key_tracks(driven_value))
-        keyed_parts = {track.part for track in tracks[j]}
-        coordinates[joint.name] = driven_value
+        tracks_by_joint[j] = list(keyed_joint.key_tracks(driven_value))
+        keyed_parts = {track.part for track in tracks_by_joint[j]}
+        coordinates_by_joint[joint.name] = driven_value
         if keyed_parts & {"angle", "slide"}:
-            coordinates[joint.name] = motions[j].coordinate
+            coordinates_by_joint[joint.name] = motions[j].coordinate
         if keyed_parts & {"local_rotation", "local_translation"}:
-            coordinates[joint.name] = np.zeros(1)
-    return [track for j in range(len(rig.joints)) for track in tracks[j]]
+            coordinates_by_joint[joint.name] = np.zeros(1)
+    return [track for j in range(len(rig.joints)) for track in tracks_by_joint[j]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -265,8 +265,8 @@ class _KeyedJoint:
 
     def driven_values(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a part ``(F or 1,)``."""
-        source = self.fitted_values if use_fitted else self.control_values
-        return source.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
+        values_by_target = self.fitted_values if use_fitted else self.control_values
+        return values_by_target.get(f"joint/{self.joint.name}.{part}", np.zeros(1))
 
     def driven_vectors(self, part: str, *, use_fitted: bool = False) -> FloatArray:
         """Return the controls' contribution to a vector part ``(F or 1, 3)``."""
@@ -282,8 +282,8 @@ class _KeyedJoint:
     @property
     def is_driven(self) -> bool:
         """Whether controls contribute to the joint."""
-        name = f"joint/{self.joint.name}."
-        return any(target.startswith(name) for target in self.control_values)
+        target_prefix = f"joint/{self.joint.name}."
+        return any(target.startswith(target_prefix) for target in self.control_values)
 
     def _translation_tracks(
         self, expected_coordinates: FloatArray

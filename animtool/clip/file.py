@@ -45,7 +45,7 @@ from animtool.rig.joints import split_part
 from animtool.rig.skeleton import Rig
 
 # Motion parts and the local parts that replace them; a joint has only one of them.
-_REPLACED_BY = {
+_LOCAL_PART_BY_PART = {
     "translation": "local_translation",
     "slide": "local_translation",
     "rotation": "local_rotation",
@@ -107,10 +107,10 @@ def _with_array_keys(document: Document, model: ClipModel) -> ClipModel:
 
 
 def _load_keys(
-    document: Document, location: Location, text: str, archives: Archives
+    document: Document, location: Location, reference_text: str, archives: Archives
 ) -> PlainKeys | list[object]:
     """Return the keys of an array reference; an empty list if it is faulty."""
-    file_name, array_name = split_reference(text, DEFAULT_ARRAY_NAME)
+    file_name, array_name = split_reference(reference_text, DEFAULT_ARRAY_NAME)
     if document.is_placeholder(location):
         return []
     path = resolve_reference(
@@ -128,16 +128,16 @@ def _load_keys(
         document.add("CLIP016", location, str(error))
         return []
     if key_rows.ndim != 2 or not len(key_rows) or key_rows.shape[1] < 2:
-        message = f"{text!r} has shape {key_rows.shape}, not (K, 1 + D)"
+        message = f"{reference_text!r} has shape {key_rows.shape}, not (K, 1 + D)"
         hint = "write a row for each key: its time, then its value"
         document.add("CLIP016", location, message, hint)
         return []
     if not (np.abs(key_rows) <= MAX_NUMBER).all():
-        message = f"{text!r} has a number beyond {MAX_NUMBER:.0e}"
+        message = f"{reference_text!r} has a number beyond {MAX_NUMBER:.0e}"
         document.add("CLIP016", location, message)
         return []
     times, values = map(np.ascontiguousarray, (key_rows[:, 0], key_rows[:, 1:]))
-    return PlainKeys(times, values, text)
+    return PlainKeys(times, values, reference_text)
 
 
 def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
@@ -150,13 +150,13 @@ def load_clip_rig(file: ClipFile, path: Path | None = None) -> Rig:
     except FormatError as error:
         try:
             check_clip(file)
-        except FormatError as other:
-            raise FormatError([*other.faults, *error.faults]) from error
+        except FormatError as clip_error:
+            raise FormatError([*clip_error.faults, *error.faults]) from error
         raise
 
 
 def _raise_missing_rig(file: ClipFile) -> NoReturn:
-    """Raise faults if the rig of a clip is missing."""
+    """Raise the faults of a clip whose rig file is missing."""
     message = f"{file.model.rig!r} does not exist"
     suggestion = similar_file_hint(file.document, file.model.rig or "")
     other_rig_text = f"pass another rig with {argument('source.rig')}"
@@ -249,12 +249,12 @@ class _ClipReader:
         if self.rig is None or not target_faults:
             return
         targets = [channel.target for channel in self.model.channels]
-        missing = unknown_targets(targets, self.rig)
-        is_for_other_rig = lacks_most_targets(missing, channel_count, self.rig)
+        missing_targets = unknown_targets(targets, self.rig)
+        is_for_other_rig = lacks_most_targets(missing_targets, channel_count, self.rig)
         is_for_named_rig = self._named_rig_has_all()
         if not is_for_other_rig and not is_for_named_rig:
             return
-        message = missing_targets_text(missing, channel_count, self.rig)
+        message = missing_targets_text(missing_targets, channel_count, self.rig)
         hint = "is it the right rig?"
         rig_fault = replace(target_faults[0], message=message, hint=hint)
         if is_for_named_rig:
@@ -295,8 +295,8 @@ class _ClipReader:
         self, target: str, channel_of_target: dict[str, int], i: int
     ) -> None:
         """Record a duplicate target, or a joint keyed both from rest and locally."""
-        name, part = split_part(target, _REPLACED_BY)
-        local_target = f"{name}.{_REPLACED_BY[part]}" if part else target
+        name, part = split_part(target, _LOCAL_PART_BY_PART)
+        local_target = f"{name}.{_LOCAL_PART_BY_PART[part]}" if part else target
         other_index = channel_of_target.setdefault(local_target, i)
         if other_index != i:
             other_target = self.model.channels[other_index].target

@@ -24,7 +24,7 @@ from animtool.rig.control_inverse import SolvedControls
 from animtool.rig.joints import KEYED_PARTS, split_part
 from animtool.rig.skeleton import JointType, Rig
 
-MAX_NAMES = 6
+MAX_LISTED_NAMES = 6
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +52,7 @@ def channel_deviations(
     if keyed_motion.controls is not None:
         control_keys = keys_of_control_channel(rig.controls, keyed_motion.controls)
     motions = take.motion, keyed_motion
-    shapes = {shape.name: i for i, shape in enumerate(rig.shapes)}
+    shape_index_by_name = {shape.name: i for i, shape in enumerate(rig.shapes)}
 
     def target_errors(target: str) -> tuple[FloatArray, str | None]:
         """Return the error of a target in every frame, and its unit."""
@@ -61,7 +61,7 @@ def channel_deviations(
             return np.abs(control_keys[name] - controls[name]), None
         if group == "shape":
             weights = [motion.weights for motion in motions]
-            return _value_errors(weights, shapes[name], 0.0), None
+            return _value_errors(weights, shape_index_by_name[name], 0.0), None
         joint, part = split_part(name, KEYED_PARTS)
         joint_indices = np.array([rig.index(joint)])
         if part in {"angle", "rotation", "local_rotation"}:
@@ -78,14 +78,14 @@ def channel_deviations(
         distances = np.linalg.norm(positions[0] - positions[1], axis=1)
         return distances / units.length, unit_name(units.length)
 
-    reports = []
+    deviations = []
     for channel in clip.channels:
         frame_errors, unit = target_errors(channel.target)
         worst_frame = int(np.argmax(frame_errors))
         error = float(frame_errors[worst_frame])
         time_code = float(take.clock.times[worst_frame])
-        reports.append(ChannelDeviation(channel.target, error, unit, time_code))
-    return tuple(reports)
+        deviations.append(ChannelDeviation(channel.target, error, unit, time_code))
+    return tuple(deviations)
 
 
 def _value_errors(
@@ -101,7 +101,7 @@ def _value_errors(
 
 def key_notices(
     rig: Rig,
-    joints: Sequence[JointMotion],
+    joint_motions: Sequence[JointMotion],
     solution: SolvedControls,
     tracks: Sequence[KeyTrack],
     driven_targets: Mapping[str, FloatArray],
@@ -110,7 +110,7 @@ def key_notices(
     notices = [
         *_released_notes(solution),
         *_additional_motion_notes(rig, tracks, driven_targets),
-        *_off_type_notes(rig, joints, tracks),
+        *_off_type_notes(rig, joint_motions, tracks),
         *_unreachable_notes(rig, tracks),
     ]
     return tuple(Fault(c, m, severity=Severity.NOTE, hint=h) for c, m, h in notices)
@@ -122,7 +122,7 @@ _Note = tuple[str, str, str | None]
 def _released_notes(solution: SolvedControls) -> Iterator[_Note]:
     """Yield a note on controls that have no values that reproduce their targets."""
     if solution.reset_names:
-        names = listed(solution.reset_names, MAX_NAMES)
+        names = listed(solution.reset_names, MAX_LISTED_NAMES)
         message = f"controls not keyed: no values of {names} reproduce what they drive"
         hint = "the joints and shapes that they drive have keys instead"
         yield "CLIP115", message, hint
@@ -136,8 +136,10 @@ def _additional_motion_notes(
     for track in tracks:
         if not track.part:
             continue
-        name = f"joint/{rig.joints[track.index].name}."
-        driven_parts = [target for target in driven_targets if target.startswith(name)]
+        target_prefix = f"joint/{rig.joints[track.index].name}."
+        driven_parts = [
+            target for target in driven_targets if target.startswith(target_prefix)
+        ]
         if not any(np.ptp(driven_targets[target]) > 0 for target in driven_parts):
             continue
         if track.part in {"angle", "rotation"}:
@@ -160,14 +162,14 @@ def _additional_motion_notes(
 
 
 def _off_type_notes(
-    rig: Rig, joints: Sequence[JointMotion], tracks: Sequence[KeyTrack]
+    rig: Rig, joint_motions: Sequence[JointMotion], tracks: Sequence[KeyTrack]
 ) -> Iterator[_Note]:
     """Yield notes on joints whose motion their types do not allow."""
     units = ClipUnits.of_rig(rig)
     for track in tracks:
         if not track.part:
             continue
-        joint, motion = rig.joints[track.index], joints[track.index]
+        joint, motion = rig.joints[track.index], joint_motions[track.index]
         if track.part == "local_rotation":
             verb = "rotates off its axis" if joint.type is JointType.PIN else "turns"
             error = plain_number(motion.rotation_error / units.angle)

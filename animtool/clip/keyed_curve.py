@@ -13,7 +13,7 @@ from animtool.motion.motion import Channel, Motion
 from animtool.motion.take import Take
 
 # Values of a take and of its curve that differ by less are equal [m], [1].
-EQUAL_VALUES = 1e-9
+EQUAL_VALUE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,5 +75,5 @@ def _are_equal(first: Channel | None, second: Channel | None) -> bool:
     differences = np.abs(a - b)
     if a.shape[-1] == 4:
         differences = np.minimum(differences, np.abs(a + b))
-    tolerance = EQUAL_VALUES * max(1.0, float(np.abs(a).max()))
+    tolerance = EQUAL_VALUE_TOLERANCE * max(1.0, float(np.abs(a).max()))
     return float(differences.max(initial=0.0)) <= tolerance

@@ -53,9 +53,9 @@ from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Rig
 
 # Rounding of float32 samples between joints and drivers [rad], [m], [1].
-SAME_ANGLE, SAME_LENGTH, SAME_WEIGHT = 2e-6, 1e-6, 1e-6
+ANGLE_ROUNDING, LENGTH_ROUNDING, WEIGHT_ROUNDING = 2e-6, 1e-6, 1e-6
 # Largest fraction of a tolerance for such rounding [1].
-SAME_FRACTION = 0.05
+ROUNDING_FRACTION = 0.05
 # Rounding to ten digits may exceed a tolerance by this fraction [1].
 DIGIT_ROUNDING = 1e-6
 # Maximum number of refinements of all keys, and the factor on their tolerance.
@@ -98,14 +98,14 @@ def fit_take_keys(
     other_tolerances = joint_tolerances or {}
     bounds = joint_bounds(rig, tolerance, other_tolerances)
     smallest_tolerance = float(bounds.min()) if len(bounds) else tolerance
-    tolerances = _rounding_differences(rig, smallest_tolerance)
-    joint_motions = relative_joint_motions(rig, take.motion, tolerances)
+    rounding_tolerances = _rounding_differences(rig, smallest_tolerance)
+    joint_motions = relative_joint_motions(rig, take.motion, rounding_tolerances)
     if base is None:
-        solution = solve_take_controls(take, rig, joint_motions, tolerances)
+        solution = solve_take_controls(take, rig, joint_motions, rounding_tolerances)
     else:
         frame_count = take.motion.frames
-        defaults = {c.name: np.full(frame_count, c.default) for c in rig.controls}
-        solution = SolvedControls(defaults, (), ())
+        default_values = {c.name: np.full(frame_count, c.default) for c in rig.controls}
+        solution = SolvedControls(default_values, (), ())
     job = _KeyingJob(
         take,
         rig,
@@ -113,7 +113,7 @@ def fit_take_keys(
         joint_motions,
         uncombined_weights_of(take, rig),
         solution,
-        tolerances,
+        rounding_tolerances,
         tolerance,
         other_tolerances,
         base,
@@ -129,11 +129,11 @@ def fit_take_keys(
 
 def _rounding_differences(rig: Rig, tolerance: float) -> Tolerances:
     """Return the largest differences that are rounding, for a tolerance [m]."""
-    rounding = SAME_FRACTION * tolerance
+    rounding = ROUNDING_FRACTION * tolerance
     return Tolerances(
-        min(SAME_ANGLE, rounding / max(rest_size(rig), SHELL_DISTANCE)),
-        min(SAME_LENGTH, rounding),
-        SAME_WEIGHT,
+        min(ANGLE_ROUNDING, rounding / max(rest_size(rig), SHELL_DISTANCE)),
+        min(LENGTH_ROUNDING, rounding),
+        WEIGHT_ROUNDING,
     )
 
 
@@ -145,9 +145,9 @@ class _KeyingJob:
     rig: Rig
     name: str
     joint_motions: list[JointMotion]
-    weights: dict[str, FloatArray]
+    weights_by_shape: dict[str, FloatArray]
     solution: SolvedControls
-    tolerances: Tolerances
+    rounding_tolerances: Tolerances
     tolerance: float
     joint_tolerances: Mapping[str, float]
     base: Take | None
@@ -155,15 +155,21 @@ class _KeyingJob:
     def reduce(self, factor: float) -> KeyedTake:
         """Return the take's keys, fitted with the tolerance times ``factor``."""
         take, rig = self.take, self.rig
-        scaled_tolerances = {p: factor * v for p, v in self.joint_tolerances.items()}
-        bounds = joint_bounds(rig, factor * self.tolerance, scaled_tolerances)
+        scaled_tolerance_by_pattern = {
+            p: factor * v for p, v in self.joint_tolerances.items()
+        }
+        bounds = joint_bounds(rig, factor * self.tolerance, scaled_tolerance_by_pattern)
         unkeyable_values = self._driven_values()
         driven_values = evaluate_controls(rig.controls, self.solution.values)
         exact_targets = driven_values.targets | unkeyable_values
         weights = self._weight_tracks(exact_targets, exact_targets)
         weight_tolerance = WEIGHT_TOLERANCE * factor / _combination_gain(rig, weights)
         exact_tracks = joint_tracks(
-            rig, self.joint_motions, exact_targets, exact_targets, self.tolerances
+            rig,
+            self.joint_motions,
+            exact_targets,
+            exact_targets,
+            self.rounding_tolerances,
         )
         keyed_channels = self._keyed_channels(exact_tracks)
         controls = fit_controls(
@@ -172,14 +178,18 @@ class _KeyingJob:
         driven_values = evaluate_controls(rig.controls, controls.values_by_name)
         fitted_targets = driven_values.targets | unkeyable_values
         tracks = joint_tracks(
-            rig, self.joint_motions, exact_targets, fitted_targets, self.tolerances
+            rig,
+            self.joint_motions,
+            exact_targets,
+            fitted_targets,
+            self.rounding_tolerances,
         )
         tracks += self._scale_tracks()
         tracks += self._weight_tracks(exact_targets, fitted_targets)
         reduction = reduce_motion(
             take,
             factor * self.tolerance,
-            joint_tolerances=scaled_tolerances,
+            joint_tolerances=scaled_tolerance_by_pattern,
             weight_tolerance=weight_tolerance,
             base=self.base,
             tracks=sort_tracks(tracks),
@@ -207,11 +217,15 @@ class _KeyingJob:
         if not rig.is_driven:
             return {}
         plan = plan_of(rig)
-        values = {f"shape/{name}": self.weights[name] for name in plan.shapes}
+        values_by_target = {
+            f"shape/{name}": self.weights_by_shape[name] for name in plan.shapes
+        }
         for j in plan.joints:
             part = COORDINATE_PARTS[rig.joints[j].type]
-            values[f"joint/{rig.names[j]}.{part}"] = self.joint_motions[j].coordinate
-        return values
+            values_by_target[f"joint/{rig.names[j]}.{part}"] = self.joint_motions[
+                j
+            ].coordinate
+        return values_by_target
 
     def _keyed_channels(
         self, tracks: list[KeyTrack]
@@ -261,11 +275,11 @@ class _KeyingJob:
         tracks = []
         zero = np.zeros(1)
         for i, shape in enumerate(self.rig.shapes):
-            take_weight = self.weights[shape.name]
+            take_weight = self.weights_by_shape[shape.name]
             target = f"shape/{shape.name}"
             undriven_weight = take_weight - exact_targets.get(target, zero)
             is_derived = bool(shape.combine) or target in exact_targets
-            tolerance = self.tolerances.weight if is_derived else 0.0
+            tolerance = self.rounding_tolerances.weight if is_derived else 0.0
             if np.abs(undriven_weight).max(initial=0.0) <= tolerance:
                 continue
             samples = np.array(take_weight - fitted_targets.get(target, zero))[:, None]
@@ -277,10 +291,14 @@ class _KeyingJob:
 def _combination_gain(rig: Rig, tracks: list[KeyTrack]) -> float:
     """Return the factor by which combination shapes amplify errors [1], at least 1."""
     keyed_shapes = {track.index for track in tracks}
-    shape_weights = {s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)}
+    weight_by_shape = {
+        s.name: float(i in keyed_shapes) for i, s in enumerate(rig.shapes)
+    }
     for shape in combination_order(rig.shapes):
-        shape_weights[shape.name] += sum(shape_weights[name] for name in shape.combine)
-    return max(1.0, *shape_weights.values()) if shape_weights else 1.0
+        weight_by_shape[shape.name] += sum(
+            weight_by_shape[name] for name in shape.combine
+        )
+    return max(1.0, *weight_by_shape.values()) if weight_by_shape else 1.0
 
 
 def _measure_errors(

@@ -31,7 +31,7 @@ LIMIT_TOLERANCE = 1e-9
 BATCH_ROWS = 2**18
 
 # Values ``(F or 1, D)`` of a joint by part, such as ``angle`` or ``+translation.x``.
-Parts = dict[str, FloatArray]
+JointParts = dict[str, FloatArray]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,12 +110,12 @@ def with_keys(
         return notice
     message = notice.fault.message.removesuffix(_CLAMPED_SUFFIX)
     suffix = _CLAMPED_SUFFIX if message != notice.fault.message else ""
-    subject = (
+    keys_text = (
         f"{len(frames_outside)} keys are" if len(frames_outside) > 1 else "a key is"
     )
     frame_noun = "frames" if len(frames_outside) > 1 else "frame"
     frames = listed([f"{frame:g}" for frame in frames_outside], MAX_LISTED_FRAMES)
-    message += f"; {subject} outside, at {frame_noun} {frames}{suffix}"
+    message += f"; {keys_text} outside, at {frame_noun} {frames}{suffix}"
     return replace(notice, fault=replace(notice.fault, message=message))
 
 
@@ -135,34 +135,34 @@ def sample_values(
     """
     frame_count = len(times)
     notices: list[ClipNotice] = []
-    controls = {
+    values_by_control = {
         name.removeprefix("control/"): value[:, 0]
         for name, value in keyed_values.items()
         if name.startswith("control/")
     }
-    control_effects = evaluate_controls(rig.controls, controls, clamp=clamp)
-    values = control_effects.unclamped_controls | control_effects.targets
-    for fault in undefined_faults(values, times):
+    control_effects = evaluate_controls(rig.controls, values_by_control, clamp=clamp)
+    effect_values = control_effects.unclamped_controls | control_effects.targets
+    for fault in undefined_faults(effect_values, times):
         raise FormatError(fault)
     notices += _range_notices(rig, control_effects, times, clamp=clamp)
     parts_by_joint = _parts_by_joint(keyed_values, control_effects)
-    notices += _drop_replaced_parts(parts_by_joint)
+    notices += _remove_replaced_parts(parts_by_joint)
     notices += _apply_mimics(rig, parts_by_joint, clamp=clamp)
     joint_values = _JointValues(rig, times, clamp, notices)
     for name, joint_parts in parts_by_joint.items():
         joint_values.add_joint(rig.index(name), joint_parts)
     control_channel = None
-    if controls:
+    if values_by_control:
         columns = [control_effects.controls[control.name] for control in rig.controls]
         control_channel = _column_channel(columns, frame_count)
-    coordinates = {}
+    values_by_coordinate = {}
     if rig.is_driven:
-        coordinates = _joint_coordinates(rig, parts_by_joint, clamp=clamp)
+        values_by_coordinate = _joint_coordinates(rig, parts_by_joint, clamp=clamp)
     motion = Motion(
         joint_values.build_channel("translations", rig.rest_translations),
         joint_values.build_channel("rotations", rig.rest_rotations),
         joint_values.build_channel("scales", np.ones((len(rig.joints), 3)))
-        if joint_values.values["scales"]
+        if joint_values.values_by_channel["scales"]
         else None,
         _weight_channel(rig, keyed_values, control_effects, frame_count),
         control_channel,
@@ -171,7 +171,7 @@ def sample_values(
         from animtool.motion.driver_run import DriverRun
 
         driver_run = run or DriverRun(rig, reports_replaced=True)
-        motion = driver_run.evaluate(motion, times, coordinates)
+        motion = driver_run.evaluate(motion, times, values_by_coordinate)
         if run is None:
             located_notices = driver_run.located_notices()
             notices += [ClipNotice(*notice) for notice in located_notices]
@@ -179,10 +179,10 @@ def sample_values(
 
 
 def _joint_coordinates(
-    rig: Rig, parts_by_joint: Mapping[str, Parts], *, clamp: bool
+    rig: Rig, parts_by_joint: Mapping[str, JointParts], *, clamp: bool
 ) -> dict[str, FloatArray]:
     """Return joint angles and slides from keys and controls, by name."""
-    coordinates = {}
+    values_by_coordinate = {}
     for name, joint_parts in parts_by_joint.items():
         joint = rig.joints[rig.index(name)]
         part, local_part = _MIMIC_PARTS.get(joint.type, ("", ""))
@@ -191,8 +191,8 @@ def _joint_coordinates(
             continue
         if clamp and isinstance(joint.limits, RangeLimit):
             value = joint.limits.clamped(value)
-        coordinates[f"{name}.{part}"] = value[:, 0]
-    return coordinates
+        values_by_coordinate[f"{name}.{part}"] = value[:, 0]
+    return values_by_coordinate
 
 
 def _range_notices(
@@ -231,9 +231,9 @@ _CLAMPED_SUFFIX = ": clamped"
 
 def _parts_by_joint(
     keyed_values: Mapping[str, FloatArray], control_effects: ControlEffects
-) -> dict[str, Parts]:
+) -> dict[str, JointParts]:
     """Return the values of each joint by part; driven parts begin with ``+``."""
-    parts_by_joint: dict[str, Parts] = {}
+    parts_by_joint: dict[str, JointParts] = {}
     for target, value in keyed_values.items():
         if target.startswith("joint/"):
             name, part = split_part(target.removeprefix("joint/"), KEYED_PARTS)
@@ -245,11 +245,13 @@ def _parts_by_joint(
     return parts_by_joint
 
 
-def _drop_replaced_parts(parts_by_joint: Mapping[str, Parts]) -> list[ClipNotice]:
-    """Drop control contributions to motion that a local channel replaces."""
+def _remove_replaced_parts(
+    parts_by_joint: Mapping[str, JointParts],
+) -> list[ClipNotice]:
+    """Remove driven parts that a local channel replaces; return notices on them."""
     notices = []
     for name, parts in parts_by_joint.items():
-        for local_part, replaced_parts in _ADDED_PARTS.items():
+        for local_part, replaced_parts in _REPLACED_PARTS.items():
             if local_part not in parts:
                 continue
             dropped_values = [parts.pop(key) for key in replaced_parts if key in parts]
@@ -263,7 +265,7 @@ def _drop_replaced_parts(parts_by_joint: Mapping[str, Parts]) -> list[ClipNotice
 
 
 # Parts that local keys replace.
-_ADDED_PARTS = {
+_REPLACED_PARTS = {
     "local_translation": ("+slide", *(f"+translation.{axis}" for axis in "xyz")),
     "local_rotation": ("+angle", *(f"+rotation.{axis}" for axis in "xyz")),
 }
@@ -277,7 +279,7 @@ _MIMIC_PARTS = {
 
 
 def _apply_mimics(
-    rig: Rig, parts_by_joint: dict[str, Parts], *, clamp: bool
+    rig: Rig, parts_by_joint: dict[str, JointParts], *, clamp: bool
 ) -> list[ClipNotice]:
     """Set the coordinates of mimic joints; keys override a mimic, with a note."""
     notices = []
@@ -315,36 +317,36 @@ class _JointValues:
     times: FloatArray
     clamp: bool
     notices: list[ClipNotice]
-    values: dict[str, dict[int, FloatArray]] = field(
+    values_by_channel: dict[str, dict[int, FloatArray]] = field(
         default_factory=lambda: {"translations": {}, "rotations": {}, "scales": {}}
     )
 
-    def add_joint(self, j: int, parts: Parts) -> None:
+    def add_joint(self, j: int, parts: JointParts) -> None:
         """Compute a joint's translation, rotation and scale ``(F or 1, K)``."""
         joint = self.rig.joints[j]
         rest_translation = np.array(joint.translation)
         rest_rotation = np.array(joint.rotation)
         base_translation = parts.get("local_translation", rest_translation[None])
-        slide = self._translation_from_rest(joint, parts)
-        if slide is not None:
-            base_translation = base_translation + so3.rotate(rest_rotation, slide)
+        translation = self._translation_from_rest(joint, parts)
+        if translation is not None:
+            base_translation = base_translation + so3.rotate(rest_rotation, translation)
         base_rotation = parts.get("local_rotation", rest_rotation[None])
         rotation = self._rotation_from_rest(joint, parts)
         if rotation is not None:
             base_rotation = so3.multiply(base_rotation, rotation)
-        if slide is not None or "local_translation" in parts:
-            self.values["translations"][j] = base_translation
+        if translation is not None or "local_translation" in parts:
+            self.values_by_channel["translations"][j] = base_translation
         if rotation is not None or "local_rotation" in parts:
-            self.values["rotations"][j] = base_rotation
+            self.values_by_channel["rotations"][j] = base_rotation
         if "scale" in parts:
-            self.values["scales"][j] = parts["scale"]
+            self.values_by_channel["scales"][j] = parts["scale"]
 
     def build_channel(self, name: str, rest: FloatArray) -> Channel:
         """Return the channel of a part: animated values and constants."""
         constant_values, frame_count = rest.copy(), len(self.times)
         animated_joints: list[int] = []
         columns: list[FloatArray] = []
-        for j, values in sorted(self.values[name].items()):
+        for j, values in sorted(self.values_by_channel[name].items()):
             if len(values) == 1 or (values == values[0]).all():
                 constant_values[j] = values[0]
             else:
@@ -360,7 +362,9 @@ class _JointValues:
             constant_values, np.array(animated_joints, np.int64), animated_values
         )
 
-    def _translation_from_rest(self, joint: Joint, parts: Parts) -> FloatArray | None:
+    def _translation_from_rest(
+        self, joint: Joint, parts: JointParts
+    ) -> FloatArray | None:
         """Return the motion's translation in the joint's rest frame."""
         slide = _add_values(parts.get("slide"), parts.get("+slide"))
         if slide is not None:
@@ -373,7 +377,7 @@ class _JointValues:
                 translation = offset if translation is None else translation + offset
         return translation
 
-    def _rotation_from_rest(self, joint: Joint, parts: Parts) -> FloatArray | None:
+    def _rotation_from_rest(self, joint: Joint, parts: JointParts) -> FloatArray | None:
         """Return the motion's rotation in the joint's rest frame."""
         angle = _add_values(parts.get("angle"), parts.get("+angle"))
         if angle is not None:
@@ -453,7 +457,7 @@ def _weight_channel(
     frame_count: int,
 ) -> Channel | None:
     """Return the shape weights as a channel; None if all are zero."""
-    weights: dict[str, FloatArray] = {}
+    weights_by_shape: dict[str, FloatArray] = {}
     for shape in rig.shapes:
         target = f"shape/{shape.name}"
         value = np.zeros(1)
@@ -461,8 +465,10 @@ def _weight_channel(
             value = value + keyed_values[target][:, 0]
         if target in control_effects.targets:
             value = value + control_effects.targets[target]
-        weights[shape.name] = value
-    weights = add_combinations(rig.shapes, weights)
-    if not any(value.any() for value in weights.values()):
+        weights_by_shape[shape.name] = value
+    weights_by_shape = add_combinations(rig.shapes, weights_by_shape)
+    if not any(value.any() for value in weights_by_shape.values()):
         return None
-    return _column_channel([weights[shape.name] for shape in rig.shapes], frame_count)
+    return _column_channel(
+        [weights_by_shape[shape.name] for shape in rig.shapes], frame_count
+    )

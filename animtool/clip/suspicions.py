@@ -33,7 +33,7 @@ from animtool.rig.suspicions import (
     HALF_REVOLUTION,
     HALF_REVOLUTION_ABOUT_Z,
     MAX_DEGREES,
-    OTHER_ANGLE_UNITS,
+    OTHER_ANGLE_UNIT_AND_FACTOR,
     are_multiples,
     warn_of_quaternion,
 )
@@ -43,7 +43,7 @@ from animtool.rig.suspicious_shape import HINGE_NAMES
 MIN_SPAN = 0.3
 # In degrees, a character with this many rotating channels exceeds `HALF_REVOLUTION`
 # somewhere.
-MIN_CHANNELS = 5
+MIN_ROTATING_CHANNELS = 5
 # This many joints of a body, including a knee, do not all rotate several times.
 MIN_WOUND_JOINTS = 3
 # In radians, some joint of a moving character exceeds this angle [rad].
@@ -71,7 +71,7 @@ CHARACTER_SIZES, MAX_SPEED = (0.3, 4.0), 50.0
 SPEED_INTERVAL = 0.25
 # Number of fast steps in a row of keys that are no teleports.
 MIN_FAST_STEPS = 3
-SMALLER_UNITS = {1.0: "cm", 0.01: "mm"}
+SMALLER_UNIT_NAME_BY_METERS = {1.0: "cm", 0.01: "mm"}
 # Keys on a driven joint over less than this fraction of a control's range are
 # adjustments.
 MIN_LAYER_FRACTION = 0.25
@@ -129,7 +129,7 @@ def _warn_of_speed(clip: CheckedClip) -> None:
             f"{channel.target!r} moves {length_text(lengths[k])} in {steps[k]:.3g} s "
             f"({speeds[k]:.3g} m/s), and the rig is {length_text(rig_size)} tall"
         )
-        unit = SMALLER_UNITS.get(clip.units.length)
+        unit = SMALLER_UNIT_NAME_BY_METERS.get(clip.units.length)
         hint = "check the keys and fps"
         if unit is not None:
             hint += f"; for keys in {unit} write 'units: {{length: {unit}}}'"
@@ -141,10 +141,14 @@ def _warn_of_quaternion_order(
     document: Document, channels: Sequence[ClipChannel]
 ) -> None:
     """Warn of [0, 0, 0, 1], which is the identity only if w is last (CLIP106)."""
-    values_of = {i: c.values for i, c in enumerate(channels) if c.values.shape[1] == 4}
-    if any((abs(v[:, 3]) > abs(v[:, 2])).any() for v in values_of.values()):
+    quaternions_by_channel = {
+        i: c.values for i, c in enumerate(channels) if c.values.shape[1] == 4
+    }
+    if any(
+        (abs(v[:, 3]) > abs(v[:, 2])).any() for v in quaternions_by_channel.values()
+    ):
         return
-    for i, values in values_of.items():
+    for i, values in quaternions_by_channel.items():
         keys = document.value["channels"][i]["keys"]
         for k in np.flatnonzero(abs(values[:, 2]) == 1.0).tolist():
             # Of an array, which is not a list in the document, by its values.
@@ -227,7 +231,7 @@ def warn_of_angle_keys(
     k = int(np.abs(values).max(axis=1).argmax())
     largest_angle = values[k][np.abs(values[k]).argmax()]
     file_unit = "deg" if is_in_degrees else "rad"
-    likely_unit, factor = OTHER_ANGLE_UNITS[file_unit]
+    likely_unit, factor = OTHER_ANGLE_UNIT_AND_FACTOR[file_unit]
     message = (
         f"{label} {counted(len(angles), noun)} look like {ANGLE_NAMES[likely_unit]}, "
         f"but the angle unit is {file_unit}: the largest is {largest_angle:.4g}"
@@ -258,7 +262,7 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
     ):
         return True
     moving_names = [name for name, v in angles if np.ptp(v, axis=0).max() > MIN_SPAN]
-    return len(moving_names) >= MIN_CHANNELS and any(
+    return len(moving_names) >= MIN_ROTATING_CHANNELS and any(
         map(HINGE_NAMES.search, moving_names)
     )
 
@@ -421,10 +425,10 @@ def _warn_of_controls(clip: CheckedClip) -> None:
     time_count = min(len(times), MAX_EVALUATED_TIMES)
     times = times[np.linspace(0, len(times) - 1, time_count).astype(int)]
     values_by_target = evaluate_channels(controls, times)
-    keyed_values = {
+    values_by_control = {
         t.removeprefix("control/"): v[:, 0] for t, v in values_by_target.items()
     }
-    driven_targets = evaluate_controls(rig.controls, keyed_values).targets
+    driven_targets = evaluate_controls(rig.controls, values_by_control).targets
     for i in indices:
         target = channels[i].target
         spans = [
@@ -436,26 +440,30 @@ def _warn_of_controls(clip: CheckedClip) -> None:
         driven_span = max(spans, default=0.0)
         if not driven_span > 0 or channel_span < MIN_LAYER_FRACTION * driven_span:
             continue
-        names = listed(list(map(repr, _driving_controls(rig, target, keyed_values))), 3)
+        driving_names = listed(
+            list(map(repr, _driving_controls(rig, target, values_by_control))), 3
+        )
         is_length = target.endswith(("translation", "slide"))
         span_texts = [
             length_text(span) if is_length else f"{math.degrees(span):.4g}°"
             for span in (channel_span, driven_span)
         ]
-        message = f"{target!r} is keyed over {span_texts[0]}, and control {names} "
+        message = (
+            f"{target!r} is keyed over {span_texts[0]}, and control {driving_names} "
+        )
         message += f"moves it over {span_texts[1]}: both are added"
         clip.warn("CLIP111", i, 0, message, "remove one of them")
         return
 
 
 def _driving_controls(
-    rig: Rig, target: str, keyed_values: Mapping[str, FloatArray]
+    rig: Rig, target: str, values_by_control: Mapping[str, FloatArray]
 ) -> list[str]:
     """Return the keyed controls that drive a target, or all if none does."""
-    names = [
+    control_names = [
         control.name
         for control in rig.controls
-        if control.name in keyed_values
+        if control.name in values_by_control
         and any(f"{drive.target}.".startswith(f"{target}.") for drive in control.drives)
     ]
-    return names or list(keyed_values)
+    return control_names or list(values_by_control)

@@ -31,7 +31,7 @@ NEAR_REST_RATIO, ABOUT_REST_RATIO, AT_REST_RATIO = 0.15, 0.5, 0.01
 MIN_WALK_KEYS = 3
 # A walk that goes down because of another up axis: largest motion to the side, and
 # largest deviation from an even speed [1].
-MAX_SIDEWAYS, MAX_UNEVEN = 0.1, 0.15
+MAX_SIDEWAYS_RATIO, MAX_UNEVENNESS = 0.1, 0.15
 # Positions from software with the other up axis, in the axes of the rig.
 _CONVERTED_AXES = {UpAxis.Y: "[x, z, -y]", UpAxis.Z: "[x, -z, y]"}
 
@@ -135,10 +135,10 @@ def _warn_of_offsets(clip: CheckedClip) -> None:
         if not (is_at_zero and is_near):
             continue
         if joint.parent < 0:
-            drop = float(rest @ rig.up.vector)
-            if drop <= MIN_REST_RATIO * rig_size:
+            drop_height = float(rest @ rig.up.vector)
+            if drop_height <= MIN_REST_RATIO * rig_size:
                 continue
-            result = f"the joint is {length_text(drop)} lower than at rest"
+            result = f"the joint is {length_text(drop_height)} lower than at rest"
         else:
             result = f"the joint is at {rig.names[joint.parent]!r}"
         numbers = ", ".join(f"{number:.4g}" for number in rest / clip.units.length)
@@ -172,8 +172,8 @@ def _warn_of_up_axis(clip: CheckedClip) -> None:
         even_heights = np.interp(times, times[[0, -1]], heights[[0, -1]])
         unevenness = np.abs(heights - even_heights).max()
         if (
-            sideways_distances.max() > MAX_SIDEWAYS * fall_height
-            or unevenness > MAX_UNEVEN * fall_height
+            sideways_distances.max() > MAX_SIDEWAYS_RATIO * fall_height
+            or unevenness > MAX_UNEVENNESS * fall_height
         ):
             continue
         message = (

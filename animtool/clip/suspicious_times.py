@@ -50,10 +50,12 @@ def _warn_of_seconds(
     frame_range: tuple[float, float] | None,
 ) -> bool:
     """Warn of key times in seconds (CLIP110); return whether they are in seconds."""
-    texts = seconds_texts([channel.times for channel in channels], fps, frame_range)
-    if texts is None:
+    message_and_hint = seconds_texts(
+        [channel.times for channel in channels], fps, frame_range
+    )
+    if message_and_hint is None:
         return False
-    message, hint = texts
+    message, hint = message_and_hint
     i = max(range(len(channels)), key=lambda i: channels[i].times[-1])
     location = ("channels", i, "keys", len(channels[i].times) - 1, "t")
     document.warn("CLIP110", location, f"key times from {message}", hint)
@@ -65,8 +67,8 @@ def seconds_texts(
 ) -> tuple[str, str] | None:
     """Return a message about times in seconds and a hint, or None (CLIP110).
 
-    The times of each curve ascend; ``frame_range`` are the first and last of the file's
-    range.
+    The times of each curve ascend; ``frame_range`` is the first and last frame of the
+    file's range.
     """
     if not times:
         return None
@@ -93,14 +95,16 @@ def _warn_of_range(
     The nearest key outside on either side shapes the curve inside the range, and all
     keys are played if the channel repeats them.
     """
-    keys_outside = {
+    keys_outside_by_channel = {
         i: keys_without_effect(c, first, last) for i, c in enumerate(channels)
     }
-    keys_outside = {i: keys for i, keys in keys_outside.items() if len(keys)}
-    if not keys_outside:
+    keys_outside_by_channel = {
+        i: keys for i, keys in keys_outside_by_channel.items() if len(keys)
+    }
+    if not keys_outside_by_channel:
         _note_of_repeated_keys(document, channels, first, last)
         return
-    i, keys = next(iter(keys_outside.items()))
+    i, keys = next(iter(keys_outside_by_channel.items()))
     frame_text = listed([f"{t:g}" for t in channels[i].times[keys]])
     times = channels[i].times
     if times[0] > last or times[-1] < first:
@@ -109,7 +113,7 @@ def _warn_of_range(
         hint = f"write range: [{times[0]:g}, {times[-1]:g}], or move the keys"
         document.warn("CLIP201", ("channels", i, "keys", 0, "t"), message, hint)
         return
-    other_count = len(keys_outside) - 1
+    other_count = len(keys_outside_by_channel) - 1
     message = f"{counted(len(keys), 'key')} of {channels[i].target!r} outside the "
     message += f"range from {first:g} to {last:g}: {frame_text}"
     message += (

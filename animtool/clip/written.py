@@ -20,7 +20,7 @@ from animtool.rig.skeleton import JointType, Rig
 from animtool.rig.surfaces import StoredArrays, with_array_file
 from animtool.rig.write import rig_text
 
-MAX_NAMES = 6
+MAX_LISTED_NAMES = 6
 
 
 def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles:
@@ -35,7 +35,7 @@ def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
         take = replace(take, rig=with_identity_rest(take.rig))
     stem = output_stem(path)
     rig_path = options.rig_file or CLIP.files(path)[0]
-    contents: dict[Path, Contents] = {}
+    contents_by_path: dict[Path, Contents] = {}
     rig: Rig = take.rig
     if options.rig_file is None:
         arrays_path = path.with_name(f"{stem}.npz")
@@ -43,8 +43,8 @@ def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
         rig, arrays = with_array_file(
             with_types_for_motion(take), arrays_path, copies_all=True
         )
-        contents |= {arrays_path: arrays} if arrays else {}
-        contents[rig_path] = [rig_text(rig).encode()]
+        contents_by_path |= {arrays_path: arrays} if arrays else {}
+        contents_by_path[rig_path] = [rig_text(rig).encode()]
     keyed_result = None
     clip = _unchanged_keys(take, options)
     if clip is None:
@@ -59,10 +59,10 @@ def build_clip_files(take: Take, path: Path, options: WriteOptions) -> TakeFiles
         )
         clip = keyed_result.clip
     text = clip_text(clip, rig, path_from_folder(rig_path, path.parent))
-    contents[path] = [text.encode()]
+    contents_by_path[path] = [text.encode()]
     notices = clip.notices if keyed_result is None else keyed_result.notices
     return TakeFiles(
-        contents,
+        contents_by_path,
         FrameSpan(clip.first, clip.last, clip.fps),
         len(rig.joints),
         [*skipped_content_warnings, *notices],
@@ -82,10 +82,10 @@ def _unchanged_keys(take: Take, options: WriteOptions) -> Clip | None:
 
 def _skipped_content_warnings(take: Take) -> list[Fault]:
     """Return a warning about content that a clip cannot store."""
-    names = [*(track.path for track in take.tracks), *take.motion.points]
-    if not names:
+    skipped_names = [*(track.path for track in take.tracks), *take.motion.points]
+    if not skipped_names:
         return []
-    message = f"a clip cannot hold {listed(names, MAX_NAMES)}: skipped"
+    message = f"a clip cannot hold {listed(skipped_names, MAX_LISTED_NAMES)}: skipped"
     hint = "write USD too, which can hold them"
     return [warning("CLIP119", message, hint)]
 

@@ -59,12 +59,12 @@ Operation: TypeAlias = Callable[[FloatArray, FloatArray, FloatArray], FloatArray
 
 @dataclass(frozen=True, slots=True)
 class ChannelOperations:
-    """The operation on each kind of channel; ``numbers`` for weights and controls."""
+    """The operation on each kind of channel; ``scalars`` for weights and controls."""
 
     translations: Operation
     rotations: Operation
     scales: Operation
-    numbers: Operation
+    scalars: Operation
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,31 +77,31 @@ class BlendStrength:
     joints: Sequence[int] | None = None
 
 
-def check_same_rig(rig: Rig, other: Rig) -> None:
+def check_same_rig(rig: Rig, other_rig: Rig) -> None:
     """Raise if two rigs differ in a joint's name or parent (SCN017)."""
-    if rig.names == other.names and np.array_equal(rig.parents, other.parents):
+    if rig.names == other_rig.names and np.array_equal(rig.parents, other_rig.parents):
         return
-    missing_joints = sorted(set(rig.names) ^ set(other.names))
+    missing_joints = sorted(set(rig.names) ^ set(other_rig.names))
     problem = "joints are in different positions"
     if missing_joints:
         problem = f"joint {missing_joints[0]!r} is in only one of them"
     message = f"the takes are of different rigs, {rig.name!r} with {len(rig.joints)} "
-    message += f"joints and {other.name!r} with {len(other.joints)}: {problem}"
+    message += f"joints and {other_rig.name!r} with {len(other_rig.joints)}: {problem}"
     refuse("SCN017", message, hint="retarget one of them first")
 
 
-def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
+def match_rig(rig: Rig, other_take: Take, *, is_additive: bool = False) -> Take:
     """Convert another take to the up axis, shape order and control order of a rig.
 
     Both have the same joints. Deltas are rotations in the frames of the joints,
     whatever the up axis.
     """
-    check_same_rig(rig, other.rig)
-    shape_order = _part_order("shapes", rig.shapes, other.rig.shapes)
-    control_order = _part_order("controls", rig.controls, other.rig.controls)
-    rotation = up_from_up(rig.up, other.rig.up)
+    check_same_rig(rig, other_take.rig)
+    shape_order = _part_order("shapes", rig.shapes, other_take.rig.shapes)
+    control_order = _part_order("controls", rig.controls, other_take.rig.controls)
+    rotation = up_from_up(rig.up, other_take.rig.up)
     if rotation is None and shape_order is None and control_order is None:
-        return other
+        return other_take
     roots, placement = np.array(rig.roots, np.int64), None
     if rotation is not None:
         placement = Placement.from_rotation(np.array(rotation))
@@ -119,7 +119,7 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
         motion = transform_motion(motion, roots, placement)
         return replace(motion, rotations=rotations) if is_additive else motion
 
-    matched_rig, curve = other.rig, other.curve
+    matched_rig, curve = other_take.rig, other_take.curve
     if shape_order is not None:
         rig_shapes = tuple(matched_rig.shapes[i] for i in shape_order)
         matched_rig = replace(matched_rig, shapes=rig_shapes)
@@ -129,9 +129,9 @@ def match_rig(rig: Rig, other: Take, *, is_additive: bool = False) -> Take:
     if placement is not None:
         matched_rig = transform_rig(matched_rig, placement, rig.up)
     return replace(
-        other,
+        other_take,
         rig=matched_rig,
-        motion=match_motion(other.motion).map(Channel.compact),
+        motion=match_motion(other_take.motion).map(Channel.compact),
         curve=None if curve is None else lambda times: match_motion(curve(times)),
     )
 
@@ -140,16 +140,18 @@ def _part_order(
     noun: str, parts: Sequence[Shape | Control], other_parts: Sequence[Shape | Control]
 ) -> IntArray | None:
     """Return each part's index in the other rig; None if the orders are equal."""
-    names, other_names = (
+    part_names, other_part_names = (
         [part.name for part in group] for group in (parts, other_parts)
     )
-    if names == other_names or not names or not other_names:
+    if part_names == other_part_names or not part_names or not other_part_names:
         return None
-    if sorted(names) != sorted(other_names):
-        unmatched_names = listed(sorted({*names} ^ {*other_names}), MAX_NAMED_PARTS)
+    if sorted(part_names) != sorted(other_part_names):
+        unmatched_names = listed(
+            sorted({*part_names} ^ {*other_part_names}), MAX_NAMED_PARTS
+        )
         message = f"the takes are of different rigs: {noun} that only one of them has: "
         refuse("SCN017", f"{message}{unmatched_names}")
-    return np.array([other_names.index(name) for name in names], np.int64)
+    return np.array([other_part_names.index(name) for name in part_names], np.int64)
 
 
 def _reorder(channel: Channel | None, order: IntArray | None) -> Channel | None:
@@ -160,7 +162,10 @@ def _reorder(channel: Channel | None, order: IntArray | None) -> Channel | None:
 
 
 def combine(
-    base: Motion, other: Motion, operations: ChannelOperations, strength: BlendStrength
+    base: Motion,
+    other_motion: Motion,
+    operations: ChannelOperations,
+    strength: BlendStrength,
 ) -> Motion:
     """Return the combination of two motions with the same frames and rig.
 
@@ -171,7 +176,7 @@ def combine(
     def combine_numbers(name: str) -> Channel | None:
         """Return combined weights or controls."""
         a: Channel | None = getattr(base, name)
-        b: Channel | None = getattr(other, name)
+        b: Channel | None = getattr(other_motion, name)
         has_both = a is not None and b is not None
         if strength.joints is not None or (name == "controls" and not has_both):
             return a
@@ -179,16 +184,21 @@ def combine(
             refuse(
                 "SCN017", f"one take has {len(a.rest)} {name}, the other {len(b.rest)}"
             )
-        return _combine_optional(a, b, 0.0, operations.numbers, strength)
+        return _combine_optional(a, b, 0.0, operations.scalars, strength)
 
     return Motion(
         _combine_channels(
-            base.translations, other.translations, operations.translations, strength
+            base.translations,
+            other_motion.translations,
+            operations.translations,
+            strength,
         ),
         _combine_channels(
-            base.rotations, other.rotations, operations.rotations, strength
+            base.rotations, other_motion.rotations, operations.rotations, strength
         ),
-        _combine_optional(base.scales, other.scales, 1.0, operations.scales, strength),
+        _combine_optional(
+            base.scales, other_motion.scales, 1.0, operations.scales, strength
+        ),
         combine_numbers("weights"),
         combine_numbers("controls"),
         base.track_times,
@@ -288,7 +298,9 @@ _SUBTRACT = ChannelOperations(
 )
 
 
-def interpolate_motions(base: Motion, other: Motion, strength: BlendStrength) -> Motion:
+def interpolate_motions(
+    base: Motion, other_motion: Motion, strength: BlendStrength
+) -> Motion:
     """Interpolate between two motions with a weight from 0 to 1.
 
     Rotations follow the shortest arc (slerp), other values are linear; at weight 0 and
@@ -302,7 +314,7 @@ def interpolate_motions(base: Motion, other: Motion, strength: BlendStrength) ->
     >>> half.translations.rest.tolist()
     [[0.5, 0.5, 0.5]]
     """
-    return combine(base, other, _INTERPOLATE, strength)
+    return combine(base, other_motion, _INTERPOLATE, strength)
 
 
 def _interpolate_linear(a: FloatArray, b: FloatArray, weight: FloatArray) -> FloatArray:
@@ -329,7 +341,7 @@ _INTERPOLATE = ChannelOperations(
 
 
 def sample_other_take(
-    other: Take | TakeSampler,
+    other_take: Take | TakeSampler,
     rate: Fraction,
     first_index: int,
     frame_count: int,
@@ -342,8 +354,12 @@ def sample_other_take(
     Its curves are evaluated. Pass a `TakeSampler` to read block by block, so that all
     blocks have the same animated rows.
     """
-    sampler = other if isinstance(other, TakeSampler) else TakeSampler.from_take(other)
+    sampler = (
+        other_take
+        if isinstance(other_take, TakeSampler)
+        else TakeSampler.from_take(other_take)
+    )
     clock = sampler.take.clock
     frame_indices = np.arange(first_index, first_index + frame_count)
     positions = even_positions(frame_indices, -delay, clock.rate / rate, clock.count)
-    return sampler.sample(positions, has_fixed_rows=sampler is other)
+    return sampler.sample(positions, has_fixed_rows=sampler is other_take)

@@ -65,7 +65,7 @@ class Cycle:
         return self.apart / self.moved
 
 
-_DEFAULTS = LoopOptions()
+_DEFAULT_OPTIONS = LoopOptions()
 
 
 def find_cycle(
@@ -73,8 +73,8 @@ def find_cycle(
     first: float | None = None,
     last: float | None = None,
     *,
-    shortest: float = _DEFAULTS.shortest,
-    longest: float = _DEFAULTS.longest,
+    shortest: float = _DEFAULT_OPTIONS.shortest,
+    longest: float = _DEFAULT_OPTIONS.longest,
 ) -> Cycle:
     """Return the cycle of a take whose ends match best, relative to its extent.
 
@@ -315,10 +315,14 @@ class _PoseView:
         """Return the character's ground position ``(N, 3)`` and heading ``(N, 4)``."""
         rig: Rig = self.take.rig
         up = np.array(rig.up.vector)
-        frame = joint_frame(rig, self.take.motion.select(frames), self.main_joint)
+        main_joint_pose = joint_frame(
+            rig, self.take.motion.select(frames), self.main_joint
+        )
         inverse_rest = so3.conjugate(rest_rotation(rig, self.main_joint))
-        heading = vertical_twist(so3.multiply(frame.rotation, inverse_rest), up)
-        return np.where(up == 0, frame.position, 0.0), heading
+        heading = vertical_twist(
+            so3.multiply(main_joint_pose.rotation, inverse_rest), up
+        )
+        return np.where(up == 0, main_joint_pose.position, 0.0), heading
 
 
 def _pose_distance(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -338,8 +342,8 @@ def _best_cycle(
     deviation = math.sqrt(float(np.mean(distances_from_mean**2)))
     min_extent = max(static_extent, MIN_EXTENT * deviation)
     extents = np.zeros(column_count)
-    scores = np.full(max_lag + 1, np.inf)
-    starts = np.zeros(max_lag + 1, np.int64)
+    score_by_lag = np.full(max_lag + 1, np.inf)
+    start_by_lag = np.zeros(max_lag + 1, np.int64)
     largest_extents = np.zeros(max_lag + 1)
     # One step per length: all pairs of that length at once.
     for lag in range(1, max_lag + 1):
@@ -349,16 +353,18 @@ def _best_cycle(
             is_large = extents > min_extent
             ratios = distances / np.where(is_large, extents, 1)
             ratios = np.where(is_large, ratios, np.inf)
-            scores[lag], start_index = _first_minimum(ratios)
-            starts[lag], largest_extents[lag] = start_index, extents[start_index]
-    if not np.isfinite(scores).any():
+            score_by_lag[lag], start_index = _first_minimum(ratios)
+            start_by_lag[lag], largest_extents[lag] = start_index, extents[start_index]
+    if not np.isfinite(score_by_lag).any():
         return None
     # The shortest cycle that is nearly as good as the best.
-    is_acceptable = scores <= EQUAL_FACTOR * scores.min() + EQUAL_OFFSET
+    is_acceptable = score_by_lag <= EQUAL_FACTOR * score_by_lag.min() + EQUAL_OFFSET
     shortest_lag = int(np.argmax(is_acceptable))
-    nearby_scores = scores[shortest_lag : math.floor(shortest_lag * LENGTH_RANGE) + 1]
+    nearby_scores = score_by_lag[
+        shortest_lag : math.floor(shortest_lag * LENGTH_RANGE) + 1
+    ]
     lag = shortest_lag + int(np.argmin(nearby_scores))
-    return int(starts[lag]), lag, float(largest_extents[lag])
+    return int(start_by_lag[lag]), lag, float(largest_extents[lag])
 
 
 def _pose_distances_at_lag(columns: FloatArray, lag: int) -> FloatArray:

@@ -69,7 +69,7 @@ def frame_index(clock: Clock, frame: float, name: str) -> int:
 
 
 def seconds_hint(
-    options: Mapping[str, float],
+    value_by_option: Mapping[str, float],
     start: Fraction,
     fps: Fraction,
     last: Fraction | None = None,
@@ -79,7 +79,7 @@ def seconds_hint(
     At least one of the options must be fractional. The take has time codes from
     ``start`` to ``last``, None if the end is unknown.
     """
-    values = list(options.values())
+    values = list(value_by_option.values())
     if all(value == round(value) for value in values) or min(values) < 0:
         return None
     codes = [float(start) + value * float(fps) for value in values]
@@ -90,18 +90,21 @@ def seconds_hint(
         round_functions.get(name, round)(
             code - 1e-9 if name == "first" else code + 1e-9
         )
-        for name, code in zip(options, codes, strict=True)
+        for name, code in zip(value_by_option, codes, strict=True)
     ]
     if frames != sorted(frames):
         return None
     seconds_text = " to ".join(f"{value:g}" for value in values)
     codes_text = " to ".join(f"{code:.4g}" for code in codes)
-    subject = "frame" if len(codes) == 1 else "frames"
+    noun = "frame" if len(codes) == 1 else "frames"
     verb = "is" if len(codes) == 1 else "are"
-    names = [argument(name, frame) for name, frame in zip(options, frames, strict=True)]
+    option_texts = [
+        argument(name, frame)
+        for name, frame in zip(value_by_option, frames, strict=True)
+    ]
     return (
-        f"are these seconds? {seconds_text} s {verb} {subject} {codes_text}: write "
-        f"{' and '.join(names)}"
+        f"are these seconds? {seconds_text} s {verb} {noun} {codes_text}: write "
+        f"{' and '.join(option_texts)}"
     )
 
 

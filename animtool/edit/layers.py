@@ -153,11 +153,13 @@ def _distance_warning(
         frames = motion.translations.gather(np.array([root]))[:, 0]
         positions.append(np.broadcast_to(frames, (clock.count, 3))[changing_frames])
     distances = np.linalg.norm(positions[0] - positions[1], axis=1)
-    worst = int(distances.argmax())
-    if distances[worst] <= MAX_BLEND_DISTANCE * rest_size(take.rig):
+    worst_index = int(distances.argmax())
+    if distances[worst_index] <= MAX_BLEND_DISTANCE * rest_size(take.rig):
         return []
-    time_code = float(clock.times[changing_frames[worst]])
-    message = f"the takes are {length_text(float(distances[worst]))} apart at frame "
+    time_code = float(clock.times[changing_frames[worst_index]])
+    message = (
+        f"the takes are {length_text(float(distances[worst_index]))} apart at frame "
+    )
     message += f"{time_code:g}, where the weight changes: the body slides from one to "
     message += "the other"
     hint = "bring one of them to where the other is, or blend where they meet"
@@ -191,7 +193,7 @@ class DifferenceOptions:
     Attributes:
         base: File of the base take; None uses the rest pose of the rig.
         frame: Time code of the base whose pose is subtracted; None compares frame by
-            frame from the first frames on.
+            frame, with the first frames aligned.
     """
 
     base: Path | None = None
@@ -406,7 +408,7 @@ class _LayerPlan:
         first_code = stream.first_frame
         delay = exact_fraction(self.delay, "delay") / stream.step
         is_override = self.mode == LayerMode.OVERRIDE
-        combine = interpolate_motions if is_override else add_delta
+        combine_motions = interpolate_motions if is_override else add_delta
         is_constant = isinstance(self.weight, (int, float))
         sampler = TakeSampler.from_take(other)
         rate = stream.fps / stream.step
@@ -420,7 +422,9 @@ class _LayerPlan:
                 sampler, rate, frame_count, block.frames, delay
             )
             strength = BlendStrength(weights, is_constant, joints)
-            motion = align_signs(combine(block, other_motion, strength), last_rotations)
+            motion = align_signs(
+                combine_motions(block, other_motion, strength), last_rotations
+            )
             largest_displacement.record_block(times, block, motion)
             yield motion
             frame_count += block.frames
@@ -438,7 +442,7 @@ class _LargestDisplacement:
     def __init__(self, rig: Rig, placed_joints: Sequence[PlacedJoint]) -> None:
         self.rig = rig
         self.placed_joints = [p for p in placed_joints if p.joint in rig.names]
-        self.largest, self.effector, self.time = 0.0, "", 0.0
+        self.distance, self.effector, self.time_code = 0.0, "", 0.0
 
     def record_block(self, times: FloatArray, before: Motion, after: Motion) -> None:
         """Update the displacements from a block's frames before and after the layer."""
@@ -451,18 +455,18 @@ class _LargestDisplacement:
             )
             distances = np.where(np.isin(times, placed_joint.times), distances, 0.0)
             worst_index = int(distances.argmax())
-            if distances[worst_index] > self.largest:
-                self.largest = float(distances[worst_index])
+            if distances[worst_index] > self.distance:
+                self.distance = float(distances[worst_index])
                 self.effector = placed_joint.effector
-                self.time = float(times[worst_index])
+                self.time_code = float(times[worst_index])
 
     def warnings(self) -> list[Fault]:
         """Return a warning if a joint leaves its target visibly (SCN120)."""
-        if self.largest <= MIN_DISPLACEMENT * rest_size(self.rig):
+        if self.distance <= MIN_DISPLACEMENT * rest_size(self.rig):
             return []
         message = (
-            f"the layer moves {self.effector!r} by up to {length_text(self.largest)} "
-            f"from where ik has put it, at frame {self.time:g}"
+            f"the layer moves {self.effector!r} by up to {length_text(self.distance)} "
+            f"from where ik has put it, at frame {self.time_code:g}"
         )
         return [warning("SCN120", message, "put the pass ik after this layer")]
 
@@ -474,13 +478,13 @@ def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
     first, last = (float(clock.times[end]) for end in (0, -1))
     play_start = first + float(delay)
     seconds = (other.clock.count - 1) / other.clock.rate
-    end = play_start + float(seconds * clock.fps)
-    if first < end and play_start < last:
+    play_end = play_start + float(seconds * clock.fps)
+    if first < play_end and play_start < last:
         return []
     clamped_pose = "first" if play_start >= last else "last"
     message = (
         f"with a delay of {delay:g} frames, the layered take plays from frame "
-        f"{play_start:g} to {end:g}, but the take from {first:g} to {last:g}: its "
+        f"{play_start:g} to {play_end:g}, but the take from {first:g} to {last:g}: its "
         f"{clamped_pose} pose is held in all frames"
     )
     hint = "delay counts frames from the first frame of the take"

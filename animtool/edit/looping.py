@@ -54,7 +54,7 @@ NextCycle: TypeAlias = Callable[[FloatArray], FloatArray]
 # speed below this fraction of the largest change within the cycle is then considered
 # natural: a seamless cycle stays unchanged if its fastest part takes nine frames or
 # more (by Bernstein's inequality).
-NATURAL_CHANGE = 0.25
+NATURAL_CHANGE_FRACTION = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +171,9 @@ def _missing_speed(
     missing_speed = start_speeds[0] - end_speeds[1] - mean_rate
     magnitude = np.linalg.norm(missing_speed, axis=-1, keepdims=True)
     largest_changes = np.linalg.norm(np.diff(steps, axis=0), axis=-1).max(axis=0)
-    excess = np.maximum(magnitude - NATURAL_CHANGE * largest_changes[:, None], 0)
+    excess = np.maximum(
+        magnitude - NATURAL_CHANGE_FRACTION * largest_changes[:, None], 0
+    )
     divisor = np.where(magnitude > 0, magnitude, 1)
     return np.asarray(missing_speed * (excess / divisor))
 
@@ -237,7 +239,7 @@ def resample_track(track: Track, transforms: Transforms) -> Track:
 MAX_GOOD_SEAM = 0.2
 
 
-_DEFAULTS = LoopOptions()
+_DEFAULT_OPTIONS = LoopOptions()
 
 
 def loop(
@@ -245,8 +247,8 @@ def loop(
     first: float | None = None,
     last: float | None = None,
     *,
-    repeats: int = _DEFAULTS.repeats,
-    blend: int = _DEFAULTS.blend,
+    repeats: int = _DEFAULT_OPTIONS.repeats,
+    blend: int = _DEFAULT_OPTIONS.blend,
 ) -> Take:
     """Repeat a cycle of a take seamlessly; `find_cycle` searches for a cycle.
 
@@ -313,9 +315,9 @@ def _loop_tracks(
 
     Each track continues as a root does, and is sampled at the loop's frames.
     """
-    times = take.motion.track_times
-    assert times is not None
-    cycle_times = times.select(frames_around).dense()[..., 0]
+    track_times = take.motion.track_times
+    assert track_times is not None
+    cycle_times = track_times.select(frames_around).dense()[..., 0]
     tracks = tuple(
         _loop_track(track, track.at(cycle_times[:, i]), take.rig.up, seam, repeats)
         if track.is_animated
@@ -482,10 +484,12 @@ def cycle_notices(cycle: Cycle, take: Take, options: LoopOptions) -> list[Fault]
         notices.append(warning("SCN101", message, hint))
     cycle_length = round((cycle.last - cycle.first) / float(take.clock.step))
     # The default is not a request of the user: it blends short cycles completely.
-    if options.blend > max(cycle_length, _DEFAULTS.blend):
+    if options.blend > max(cycle_length, _DEFAULT_OPTIONS.blend):
         message = f"{argument('blend', options.blend)} is longer than the cycle of "
         message += f"{cycle_length} frames: every frame is changed"
-        hint = f"use {cycle_length // 2} or fewer; {_DEFAULTS.blend} is the default"
+        hint = (
+            f"use {cycle_length // 2} or fewer; {_DEFAULT_OPTIONS.blend} is the default"
+        )
         notices.append(warning("SCN115", message, hint))
     return notices
 

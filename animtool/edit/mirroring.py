@@ -106,9 +106,9 @@ def _pivot(control: Control) -> float:
     return 0.0 if control.low <= 0 <= control.high else control.default
 
 
-def _flatten_effect(joints: FloatArray, shapes: FloatArray) -> FloatArray:
+def _flatten_effect(joint_effects: FloatArray, shape_effects: FloatArray) -> FloatArray:
     """Concatenate effects on joints and shapes to one vector."""
-    return np.concatenate([joints.ravel(), shapes.ravel()])
+    return np.concatenate([joint_effects.ravel(), shape_effects.ravel()])
 
 
 def _control_effect(
@@ -131,12 +131,12 @@ def _control_effect(
         for value in (base_value, changed_value)
     )
     local_effects, weights = np.zeros((len(rig.joints), 6)), np.zeros(len(rig.shapes))
-    shape_indices = {shape.name: i for i, shape in enumerate(rig.shapes)}
+    index_by_shape = {shape.name: i for i, shape in enumerate(rig.shapes)}
     for target in targets_after:
         change = targets_after[target][0] - targets_before[target][0]
         kind, _, name = target.partition("/")
         if kind == "shape":
-            weights[shape_indices[name]] += change
+            weights[index_by_shape[name]] += change
             continue
         name, part = split_part(name, DRIVEN_PARTS)
         j = rig.index(name)
@@ -297,7 +297,7 @@ def _unpaired_warnings(
 
 
 def _asymmetry_warnings(
-    rig: Rig, partners: IntArray, is_checked: BoolArray, axis: int
+    rig: Rig, partners: IntArray, is_checked: BoolArray, axis_index: int
 ) -> Iterator[Fault]:
     """Yield a warning if the rest pose is not symmetric."""
     if not is_checked.any():
@@ -308,7 +308,7 @@ def _asymmetry_warnings(
         roots[i] = roots[joint.parent] if joint.parent >= 0 else i
     offsets = positions - positions[roots]
     rig_size = rest_size(rig)
-    mirror_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+    mirror_signs = np.where(np.arange(3) == axis_index, -1.0, 1.0)
     mirrored_offsets = offsets[partners] * mirror_signs
     distances = np.linalg.norm(mirrored_offsets - offsets, axis=1) * is_checked
     worst_joint = int(distances.argmax())
@@ -330,7 +330,7 @@ def _asymmetry_warnings(
 def _check_requested_pairs(
     rig: Rig, pairs: Sequence[Sequence[str]], partners: IntArray
 ) -> None:
-    """Raise if the parents of a stated pair are not partners."""
+    """Raise if the parents of two joints of a requested pair are not partners."""
     faults = []
     for a, b in pairs:
         i, j = (rig.joints[rig.index(name)].parent for name in (a, b))
@@ -338,8 +338,8 @@ def _check_requested_pairs(
             first_name, second_name = (a, b) if i >= 0 else (b, a)
             reason = f"{second_name!r} has no parent, but {first_name!r} has one"
         elif min(i, j) >= 0 and partners[i] != j:
-            names = f"{rig.names[i]!r} and {rig.names[j]!r}"
-            reason = f"their parents {names} are not a pair"
+            parents_text = f"{rig.names[i]!r} and {rig.names[j]!r}"
+            reason = f"their parents {parents_text} are not a pair"
         else:
             continue
         faults.append(f"pairs: {a!r} and {b!r} cannot be swapped: {reason}")
@@ -356,8 +356,8 @@ def _check_partner_parents(rig: Rig, partners: IntArray, is_kept: BoolArray) -> 
         partner_parent = int(partners[joint.parent]) if joint.parent >= 0 else -1
         partner_joint = rig.joints[int(partners[i])]
         if partner_joint.parent != partner_parent:
-            names = f"{joint.name!r} and {partner_joint.name!r}"
-            message = f"the parents of {names} are not a pair"
+            names_text = f"{joint.name!r} and {partner_joint.name!r}"
+            message = f"the parents of {names_text} are not a pair"
             raise OptionError(Fault("SCN019", message, hint="write the pairs"))
 
 
@@ -374,7 +374,7 @@ class _JointMirror:
 
     @staticmethod
     def from_rig(
-        rig: Rig, partners: IntArray, is_kept: BoolArray, axis: int
+        rig: Rig, partners: IntArray, is_kept: BoolArray, axis_index: int
     ) -> _JointMirror:
         """Return the mirror of a rig's joints about a plane normal to an axis."""
         rest_world_rotations = rig.rest_rotations.copy()
@@ -386,7 +386,7 @@ class _JointMirror:
                     parent_rotations[i], rest_world_rotations[i]
                 )
                 rest_world_rotations[i] = world_rotation
-        axis_signs = np.where(np.arange(3) == axis, -1.0, 1.0)
+        axis_signs = np.where(np.arange(3) == axis_index, -1.0, 1.0)
         return _JointMirror(
             partners,
             is_kept,
@@ -461,7 +461,7 @@ def _mirrored_blocks(
 def _swap_partners(
     channel: Channel | None, partners: IntArray, map_values: _ValueMap
 ) -> Channel | None:
-    """Mirror a channel; return None, or a channel of other rows, unchanged."""
+    """Return a mirrored channel; None or a channel with other rows stays unchanged."""
     if channel is None or len(partners) != len(channel.rest):
         return channel
     return _mirror_channel(channel, partners, map_values)

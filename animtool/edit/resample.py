@@ -100,8 +100,10 @@ def plan_samples(
         even_positions(frame_indices, frame_shift + offset, ratio, clock.count)
         for offset in offsets
     ]
-    code_span = (Fraction(frame_numbers.step), len(frame_numbers))
-    codes = np.stack([time_codes(first + o, *code_span) for o in offsets]).T.ravel()
+    step_and_count = (Fraction(frame_numbers.step), len(frame_numbers))
+    codes = np.stack(
+        [time_codes(first + o, *step_and_count) for o in offsets]
+    ).T.ravel()
     sort_order = np.argsort(codes, kind="stable")
     frames = np.stack([p.frames for p in positions]).T.ravel()[sort_order]
     fractions = np.stack([p.fractions for p in positions]).T.ravel()[sort_order]
@@ -116,14 +118,14 @@ def plan_samples(
         codes[sort_order],
         frames,
         fractions,
-        _dropped_samples(
+        _dropped_sample_count(
             frame_numbers, frame_shift, ratio, clock.count, frames[fractions == 0]
         ),
         end_position - last_frame if has_remainder else Fraction(0),
     )
 
 
-def _dropped_samples(
+def _dropped_sample_count(
     frames: range,
     shift: Fraction,
     ratio: Fraction,
@@ -170,12 +172,12 @@ def missing_frames_fault(
     'rest: frame 0 is not in the take, which has frames 1-64'
     """
     first_frame, last_frame = frame_range.first, frame_range.last
-    frames = (
+    frames_text = (
         f"frame {first_frame} is"
         if first_frame == last_frame
         else f"frames {first_frame}-{last_frame} are"
     )
-    message = f"{argument(name)}: {frames} not in the {noun}, "
+    message = f"{argument(name)}: {frames_text} not in the {noun}, "
     message += f"which has frames {frame_label(first)}-{frame_label(last)}"
     return Fault("CLI005", message)
 
@@ -234,7 +236,7 @@ def dropped_notice(dropped_frames: Fraction, fps: Fraction, last: Fraction) -> F
 def single_frame_warning(
     times: SampleTimes, clock: Clock, fps: Fraction
 ) -> list[Fault]:
-    """Warn if resampling leaves one frame of a take with several frames (TAKE010)."""
+    """Return a warning if resampling leaves one frame of several (TAKE010)."""
     if len(times.codes) != 1 or clock.count < 2:
         return []
     message = f"1 of {clock.count} frames remains, {frame_label(times.first)}: the "

@@ -108,8 +108,10 @@ def _run_trim(
             options.last, "last", is_rounded_down=not in_shot
         )
     range_ends = {"first": options.first, "last": options.last}
-    stated_ends = {name: end for name, end in range_ends.items() if end is not None}
-    hint = seconds_hint(stated_ends, first_code, stream.fps)
+    stated_end_by_name = {
+        name: end for name, end in range_ends.items() if end is not None
+    }
+    hint = seconds_hint(stated_end_by_name, first_code, stream.fps)
     if options.first is not None and first_index < 0 and not in_shot:
         message = f"first is {options.first:g}, but the take begins at "
         message += f"{float(first_code):g}; frames have the numbers of the take"
@@ -194,7 +196,7 @@ TRIM = Pass(
 
 
 # Percentages of a speed are larger; a lapse of time hardly is [1].
-MAX_SPEED = 25.0
+MIN_PERCENT_SPEED = 25.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,12 +234,12 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
     check_loaded(take, Take, "take")
     _check_speed(speed)
     clock = take.clock
-    rate = exact_fraction(speed, "speed")
+    exact_speed = exact_fraction(speed, "speed")
     pivot_code = clock.start if pivot is None else exact_fraction(pivot, "pivot")
     # All in frames of the take, counted from its first.
     pivot_frame = (pivot_code - clock.start) / clock.step
     end_positions = sorted(
-        pivot_frame + (end_frame - pivot_frame) / rate
+        pivot_frame + (end_frame - pivot_frame) / exact_speed
         for end_frame in (0, clock.count - 1)
     )
     first_index, last_index = math.ceil(end_positions[0]), math.floor(end_positions[1])
@@ -245,9 +247,9 @@ def time_scale(take: Take, speed: float, pivot: float | None = None) -> Take:
         raise frame_error(f"at speed {speed:g} no frame remains")
     check_count(last_index - first_index + 1)
     frame_indices = np.arange(first_index, last_index + 1)
-    offset = pivot_frame / rate - pivot_frame
-    positions = even_positions(frame_indices, offset, rate, clock.count)
-    pivot_time, factor = float(pivot_code), float(rate)
+    offset = pivot_frame / exact_speed - pivot_frame
+    positions = even_positions(frame_indices, offset, exact_speed, clock.count)
+    pivot_time, factor = float(pivot_code), float(exact_speed)
     start = clock.start + first_index * clock.step
     new_clock = replace(clock, start=start, count=len(frame_indices))
     result = _resample_at(
@@ -291,7 +293,7 @@ def _percentage_warnings(
     speed: float, clock_before: Clock, clock_after: Clock
 ) -> list[Fault]:
     """Return a warning about a speed that looks like a percentage (SCN117)."""
-    if abs(speed) < MAX_SPEED or clock_before.count < 2:
+    if abs(speed) < MIN_PERCENT_SPEED or clock_before.count < 2:
         return []
     option = argument("speed", f"{speed:g}")
     message = f"{option} plays {abs(speed):g} times as fast: of {clock_before.count} "
@@ -366,8 +368,8 @@ def time_warp(
     """
     check_loaded(take, Take, "take")
     clock = take.clock
-    key_times, values = key_arrays(curve, "curve")
-    _check_curve_range(clock, key_times, values)
+    key_times, source_codes = key_arrays(curve, "curve")
+    _check_curve_range(clock, key_times, source_codes)
     first, last = float(key_times[0]), float(key_times[-1])
     offsets_from_start = [
         exact_fraction(code, "curve") - clock.start for code in (first, last)
@@ -385,30 +387,38 @@ def time_warp(
 
     def source_times(times: FloatArray) -> FloatArray:
         """Return the times of the take that the curve shows."""
-        return interpolate_keys(key_times, values, times, interpolation)
+        return interpolate_keys(key_times, source_codes, times, interpolation)
 
     frames = (source_times(result_clock.times) - start) / step
     positions = nearby_positions(frames, clock.count)
     return _resample_at(take, result_clock, positions, source_times)
 
 
-def _check_curve_range(clock: Clock, key_times: FloatArray, values: FloatArray) -> None:
+def _check_curve_range(
+    clock: Clock, key_times: FloatArray, source_codes: FloatArray
+) -> None:
     """Raise if the curve shows frames that the take lacks."""
     first, last = clock.times[[0, -1]] if clock.count else np.zeros(2)
     tolerance = 1e-6 * float(clock.step)
-    outside_values = values[(values < first - tolerance) | (values > last + tolerance)]
+    outside_values = source_codes[
+        (source_codes < first - tolerance) | (source_codes > last + tolerance)
+    ]
     if len(outside_values):
         message = f"the curve maps to frame {outside_values[0]:g}, but the take has "
         hint = None
         last_key = float(key_times[-1])
-        ascends = bool((np.diff(values) > 0).all())
-        if ascends and first <= key_times[0] and last_key <= last <= values[-1] - 1:
+        ascends = bool((np.diff(source_codes) > 0).all())
+        if (
+            ascends
+            and first <= key_times[0]
+            and last_key <= last <= source_codes[-1] - 1
+        ):
             hint = "pairs are [frame of the result, frame of the take]: are they "
             hint += "swapped?"
-        seconds = float(np.max(values))
+        seconds = float(np.max(source_codes))
         last_code = float(clock.start) + seconds * float(clock.fps)
-        has_fractions = bool((values != np.round(values)).any())
-        if np.min(values) >= 0 and has_fractions and last_code <= last + 1:
+        has_fractions = bool((source_codes != np.round(source_codes)).any())
+        if np.min(source_codes) >= 0 and has_fractions and last_code <= last + 1:
             hint = (
                 f"a curve has frames, not seconds: {seconds:g} s is frame {last_code:g}"
             )

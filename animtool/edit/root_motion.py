@@ -105,10 +105,10 @@ def extract_root(
         name = take.rig.names[hip_index]
         message, hint = f"{root!r} is not above {name!r}", "choose other hips"
         if hip_index == root_index:
-            top = take.rig.names[take.rig.roots[0]]
+            top_name = take.rig.names[take.rig.roots[0]]
             message = f"{root!r} has no joint below it whose travel it could get"
             hint = "name a joint above the hips, or a new one: "
-            hint += f"{argument('root', 'root')} is added above {top!r}"
+            hint += f"{argument('root', 'root')} is added above {top_name!r}"
         if hips and hip_index in take.rig.upwards(root_index)[1:]:
             message = f"{root!r} is below {name!r}: the root and the hips are exchanged"
             hint = f"write {argument('root', name)}, {argument('hips', root)}"
@@ -167,12 +167,14 @@ def _hips_index(take: Take, root: str, hips: str) -> int:
         message = "the rig has no joints, so there is no root motion"
         raise _root_error(message, "remove the pass")
     has_root = root in rig.names
-    top = rig.index(root) if has_root else rig.roots[0]
-    hip_index = travelling_joint(rig, take.motion, top, excludes_root=has_root)
+    top_joint = rig.index(root) if has_root else rig.roots[0]
+    hip_index = travelling_joint(rig, take.motion, top_joint, excludes_root=has_root)
     if hip_index is None and has_root:
-        children = (j for j, joint in enumerate(rig.joints) if joint.parent == top)
-        hip_index = next(children, top)
-    return top if hip_index is None else hip_index
+        children = (
+            j for j, joint in enumerate(rig.joints) if joint.parent == top_joint
+        )
+        hip_index = next(children, top_joint)
+    return top_joint if hip_index is None else hip_index
 
 
 def _root_transforms(
@@ -216,17 +218,18 @@ def _axes_warnings(take: Take, options: RootMotionOptions) -> list[Fault]:
         return []
     hip_index = _hips_index(take, options.root, options.hips)
     positions = joint_frame(rig, take.motion, hip_index).position
-    travel = dict(zip("xyz", np.abs(positions[-1] - positions[0]), strict=True))
+    travel_by_axis = dict(zip("xyz", np.abs(positions[-1] - positions[0]), strict=True))
     (missing_axis,) = set("xyz") - axes
-    root_travel = math.hypot(*(travel[axis] for axis in axes))
-    if travel[missing_axis] < max(
+    root_travel = math.hypot(*(travel_by_axis[axis] for axis in axes))
+    if travel_by_axis[missing_axis] < max(
         MIN_TRAVEL * rest_size(rig), MIN_TRAVEL_RATIO * root_travel
     ):
         return []
-    names = "".join(sorted(axes))
+    axes_text = "".join(sorted(axes))
+    missing_travel = length_text(travel_by_axis[missing_axis])
     message = (
-        f"axes {names} has the up axis {up}, and lacks {missing_axis}, along which "
-        f"{rig.names[hip_index]!r} travels {length_text(travel[missing_axis])}: "
+        f"axes {axes_text} has the up axis {up}, and lacks {missing_axis}, along which "
+        f"{rig.names[hip_index]!r} travels {missing_travel}: "
         f"the root travels {length_text(root_travel)}"
     )
     ground_axes = "xyz".replace(up, "")

@@ -72,26 +72,28 @@ def interpolation_notices(
     """
     take = sampler.take
     rig = take.rig
-    thresholds = {
+    threshold_by_channel = {
         "translations": NEGLIGIBLE_LENGTH * (rest_size(rig) or 1.0),
         "rotations": NEGLIGIBLE_ANGLE,
     }
     error_texts = []
     for deviation in interpolation_deviations(sampler, positions):
-        if deviation.size <= thresholds.get(deviation.channel, NEGLIGIBLE_WEIGHT):
+        if deviation.size <= threshold_by_channel.get(
+            deviation.channel, NEGLIGIBLE_WEIGHT
+        ):
             continue
         size_text = plain_number(deviation.size)
-        kind, names = "joint", list(rig.names)
+        kind, part_names = "joint", list(rig.names)
         if deviation.channel == "translations":
             size_text = length_text(deviation.size)
         elif deviation.channel == "rotations":
             size_text = angle_text(float(np.degrees(deviation.size)))
         elif deviation.channel != "scales":
             kind = deviation.channel.replace("weights", "shapes")[:-1]
-            names = [part.name for part in getattr(rig, f"{kind}s")]
+            part_names = [part.name for part in getattr(rig, f"{kind}s")]
         else:
             kind = "scale of joint"
-        name = names[deviation.row]
+        name = part_names[deviation.row]
         code = float(take.clock.start) + deviation.frame * float(take.clock.step)
         error_texts.append(
             f"{size_text} ({kind} {name!r}, frame {frame_label(round(code, 2))})"

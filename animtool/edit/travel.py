@@ -256,12 +256,14 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
         if main_joint is None:
             continue
         joints = [root] if main_joint == root else _travelling_joints(rig, motion, root)
-        frame = joint_frame(rig, end_frames, main_joint)
+        main_joint_frame = joint_frame(rig, end_frames, main_joint)
         rotation_change = so3.multiply(
-            frame.rotation[1], so3.conjugate(frame.rotation[0])
+            main_joint_frame.rotation[1], so3.conjugate(main_joint_frame.rotation[0])
         )
         rotation = vertical_twist(rotation_change, up)
-        displacement = frame.position[1] - so3.rotate(rotation, frame.position[0])
+        displacement = main_joint_frame.position[1] - so3.rotate(
+            rotation, main_joint_frame.position[0]
+        )
         displacement = displacement - (displacement @ up) * up
         for joint in joints:
             _store_travel(travel, joint, rig, end_frames, rotation, displacement)
@@ -281,8 +283,12 @@ def _store_travel(
         travel.rotations[joint], travel.shifts[joint] = world_rotation, displacement
         travel.linear[joint] = so3.to_matrix(world_rotation)
         return
-    frame = parent_frame(rig, end_frames, joint)
-    position, rotation, linear = frame.position[0], frame.rotation[0], frame.linear[0]
+    local_frame = parent_frame(rig, end_frames, joint)
+    position, rotation, linear = (
+        local_frame.position[0],
+        local_frame.rotation[0],
+        local_frame.linear[0],
+    )
     if np.linalg.det(linear) == 0:
         return
     local_rotation = so3.multiply(so3.conjugate(rotation), world_rotation)

@@ -62,7 +62,7 @@ def _unknown_joint_error(rig: Rig, name: str, option: str) -> OptionError:
 
 # Scales, and angles [rad], that differ by less are equal: files have float32 or half
 # precision, and 1e-9 is invisible.
-EQUAL_VALUES = 1e-9
+EQUAL_VALUE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +74,7 @@ class JointTransforms:
 
 
 def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
-    """Replace a joint's local transforms; its children keep their world transforms."""
+    """Return a take with other transforms of a joint; its children stay in place."""
     motion = take.motion
     child_indices = np.flatnonzero(take.rig.parents == joint)
     joint_and_children = np.concatenate([[joint], child_indices])
@@ -82,7 +82,9 @@ def set_joint(take: Take, joint: int, transforms: JointTransforms) -> Take:
     rotations = motion.rotations.gather(joint_and_children)
     inverse_rotations = so3.conjugate(transforms.rotations)
     rotation = so3.multiply(inverse_rotations, rotations[:, 0])[:, None]
-    is_rotated = so3.angle_between(transforms.rotations, rotations[:, 0]) > EQUAL_VALUES
+    is_rotated = (
+        so3.angle_between(transforms.rotations, rotations[:, 0]) > EQUAL_VALUE_TOLERANCE
+    )
     scale = _joint_scale(take, joint, is_rotated)[:, None]
     offset = translations[:, 0] - transforms.translations
     shift = so3.rotate(inverse_rotations, offset)[:, None]
@@ -104,7 +106,9 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
     if scales is None:
         return np.ones((1, 3))
     values = scales.gather(np.array([joint]))[:, 0]
-    is_uneven = np.ptp(values, axis=-1) > EQUAL_VALUES * np.abs(values).max(axis=-1)
+    is_uneven = np.ptp(values, axis=-1) > EQUAL_VALUE_TOLERANCE * np.abs(values).max(
+        axis=-1
+    )
     if (values == 0).any() or (is_uneven & is_rotated).any():
         message = f"{take.rig.names[joint]!r} has a scale of 0 or one that differs by "
         message += "axis, which would shear the joints below it"
@@ -113,7 +117,7 @@ def _joint_scale(take: Take, joint: int, is_rotated: BoolArray) -> FloatArray:
 
 
 def insert_joint(take: Take, name: str, child: int) -> Take:
-    """Insert a static joint between a joint and its parent.
+    """Return a take with a static joint inserted between a joint and its parent.
 
     The new joint takes the child's index; the child's index grows by one.
     """
@@ -136,7 +140,7 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
 
 
 def remove_joint(take: Take, joint: int) -> Take:
-    """Remove a joint that coincides with its parent.
+    """Return a take without a joint that coincides with its parent.
 
     Its children move to its parent and take over its scale and rest pose.
     """
@@ -222,39 +226,43 @@ def _relative_pose(parent_pose: Pose, pose: Pose) -> Pose:
 def _bind_poses_without(rig: Rig, joint: int) -> dict[str, Pose]:
     """Return the bind poses of a rig after a joint is removed."""
     removed_joint = rig.joints[joint]
-    bind = {name: pose for name, pose in rig.bind.items() if name != removed_joint.name}
+    bind_pose_by_joint = {
+        name: pose for name, pose in rig.bind.items() if name != removed_joint.name
+    }
     parent_pose = rig.bind.get(removed_joint.name, removed_joint.rest_pose)
     for child in rig.joints:
         if child.parent == joint and {child.name, removed_joint.name} & set(rig.bind):
             pose = rig.bind.get(child.name, child.rest_pose)
-            bind[child.name] = _relative_pose(parent_pose, pose)
-    return bind
+            bind_pose_by_joint[child.name] = _relative_pose(parent_pose, pose)
+    return bind_pose_by_joint
 
 
 def _referenced_joints(rig: Rig) -> set[str]:
     """Return the joints that other parts of a rig reference."""
-    names = {name for chain in rig.chains for name in (chain.root, chain.tip)}
-    names.update(*(mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None))
-    names.update(*(attachment.joints for attachment in rig.attach))
+    joint_names = {name for chain in rig.chains for name in (chain.root, chain.tip)}
+    joint_names.update(
+        *(mesh.skin.joints for mesh in rig.meshes if mesh.skin is not None)
+    )
+    joint_names.update(*(attachment.joints for attachment in rig.attach))
     for control in rig.controls:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
             if kind == "joint":
-                names.add(split_part(name, DRIVEN_PARTS)[0])
+                joint_names.add(split_part(name, DRIVEN_PARTS)[0])
     drivers = (
         *(joint.driven for joint in rig.joints),
         *(shape.driven for shape in rig.shapes),
         *(control.driven for control in rig.controls),
     )
     for driver in filter(None, drivers):
-        names.update(split_coordinate(name)[0] for name in driver.names)
+        joint_names.update(split_coordinate(name)[0] for name in driver.names)
     for joint in rig.joints:
         if joint.driven is not None:
-            names.add(joint.name)
+            joint_names.add(joint.name)
         if joint.mimic is not None:
-            names.add(joint.mimic.joint)
-    names.update(collider.joint for collider in rig.colliders)
-    return names.union(mass.joint for mass in rig.masses)
+            joint_names.add(joint.mimic.joint)
+    joint_names.update(collider.joint for collider in rig.colliders)
+    return joint_names.union(mass.joint for mass in rig.masses)
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,7 @@ Result = TypeVar("Result")
 def checks_arguments(
     options_class: type,
 ) -> Callable[[Callable[P, Result]], Callable[P, Result]]:
-    """Return a decorator of functions of a problem, a start, targets and options.
+    """Return a decorator that checks the types of problem, start, targets and options.
 
     The functions raise `TypeError` for an argument of another kind, or in the place of
     another.

@@ -54,7 +54,7 @@ class _ChainBuilder:
         self.rig = rig
         self.slices = coordinate_slices(rig)
         self.ranges = coordinate_ranges(rig)
-        self.followed = _followed_joints(rig)
+        self.followed_joints = _followed_joints(rig)
         self.nodes: list[list[int]] = []
         self.rest_matrices: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
@@ -64,8 +64,8 @@ class _ChainBuilder:
         self.is_length: list[bool] = []
         self.periods: list[tuple[float, float]] = []
         self.ball_rotations: list[tuple[int, FloatArray]] = []
-        self.leader_columns: dict[int, int] = {}
-        self.ball_columns: dict[int, int] = {}
+        self.leader_column_by_joint: dict[int, int] = {}
+        self.ball_column_by_joint: dict[int, int] = {}
         self.programs = DriverPrograms(rig, pose) if rig.is_driven else None
 
     def add_joint(self, joint_index: int, frame: _Frame) -> _Frame:
@@ -78,35 +78,36 @@ class _ChainBuilder:
             for i in range(3):
                 frame = self._add_slide(first_column + i, frame, np.eye(3)[i])
             return self._add_ball(first_column + 3, joint, frame)
-        self.ball_columns[joint_index] = len(self.rig_columns)
+        self.ball_column_by_joint[joint_index] = len(self.rig_columns)
         return self._add_ball(first_column, joint, frame)
 
     def sources(self) -> dict[int, CoordinateSource]:
         """Return the chain coordinates that drivers may read, by joint."""
-        sources = {
-            j: CoordinateSource(column) for j, column in self.ball_columns.items()
+        source_by_joint = {
+            j: CoordinateSource(column)
+            for j, column in self.ball_column_by_joint.items()
         }
         for j, joint in enumerate(self.rig.joints):
             if joint.type in {JointType.PIN, JointType.PRISMATIC}:
                 leader, gain, shift = leader_of(self.rig, j)
-                if leader in self.leader_columns:
-                    column = self.leader_columns[leader]
-                    sources[j] = CoordinateSource(column, gain, shift)
-        return sources
+                if leader in self.leader_column_by_joint:
+                    column = self.leader_column_by_joint[leader]
+                    source_by_joint[j] = CoordinateSource(column, gain, shift)
+        return source_by_joint
 
     def _add_node(
         self,
         kind: int,
         frame: _Frame,
         rotation: FloatArray,
-        coordinate: int,
+        coordinate_index: int,
         *,
         driver_kind: int = UNDRIVEN,
         gain: tuple[float, float] = (1.0, 0.0),
         limit: tuple[float, float, float, float] = (-np.inf, np.inf, 0.0, 0.0),
     ) -> _Frame:
         """Append a node to the chain; return its frame."""
-        self.nodes.append([kind, frame.node, coordinate, driver_kind])
+        self.nodes.append([kind, frame.node, coordinate_index, driver_kind])
         self.rest_matrices.append(so3.to_matrix(so3.multiply(frame.rotation, rotation)))
         self.offsets.append(frame.translation)
         self.gains.append(gain)
@@ -132,8 +133,8 @@ class _ChainBuilder:
             return self._add_node(
                 kind, frame, rotation, program, driver_kind=FOLLOWS_PROGRAM
             )
-        if leader in self.leader_columns:
-            column = self.leader_columns[leader]
+        if leader in self.leader_column_by_joint:
+            column = self.leader_column_by_joint[leader]
             return self._add_node(
                 kind,
                 frame,
@@ -144,12 +145,14 @@ class _ChainBuilder:
             )
         low, high = self.ranges.get(leader, UNLIMITED)
         is_length = self.rig.joints[leader].type is JointType.PRISMATIC
-        column = self.leader_columns[leader] = len(self.rig_columns)
+        column = self.leader_column_by_joint[leader] = len(self.rig_columns)
         self.rig_columns.append(self.slices[leader].start)
         self.is_length.append(is_length)
         is_full = high - low >= 2 * np.pi - REVOLUTION_TOLERANCE
         # A revolution of a joint moves those that follow it by another angle.
-        is_periodic = not is_length and gain == 1.0 and leader not in self.followed
+        is_periodic = (
+            not is_length and gain == 1.0 and leader not in self.followed_joints
+        )
         is_unlimited = is_full and is_periodic
         has_period = is_unlimited and math.isfinite(high - low)
         self.periods.append((low, high) if has_period else UNLIMITED)
@@ -187,10 +190,12 @@ def _rotation_from_z(axis: FloatArray) -> FloatArray:
 
 def _followed_joints(rig: Rig) -> set[int]:
     """Return the joints that mimic or driven joints follow."""
-    names = {joint.mimic.joint for joint in rig.joints if joint.mimic is not None}
+    source_names = {
+        joint.mimic.joint for joint in rig.joints if joint.mimic is not None
+    }
     if rig.is_driven:
-        names.update(*plan_of(rig).joints_read.values())
-    return {leader_of(rig, rig.index(name))[0] for name in names}
+        source_names.update(*plan_of(rig).joints_read.values())
+    return {leader_of(rig, rig.index(name))[0] for name in source_names}
 
 
 def assemble_chain(
@@ -202,7 +207,7 @@ def assemble_chain(
     """
     local = local_from_coordinates(rig, pose[None])
     builder = _ChainBuilder(rig, pose)
-    frames: dict[int, _Frame] = {}
+    frame_by_joint: dict[int, _Frame] = {}
     joints_above_goals = {
         j for goal in goals for j in rig.upwards(rig.index(goal.joint))
     }
@@ -212,23 +217,23 @@ def assemble_chain(
     for j, rest in enumerate(rest_poses):
         if j not in joints_above_goals:
             continue
-        parent = frames.get(rig.joints[j].parent, root_frame)
+        parent = frame_by_joint.get(rig.joints[j].parent, root_frame)
         if j in moving_joints:
-            frames[j] = builder.add_joint(j, parent.transform(*rest))
+            frame_by_joint[j] = builder.add_joint(j, parent.transform(*rest))
         else:
-            frames[j] = parent.transform(*poses[j])
+            frame_by_joint[j] = parent.transform(*poses[j])
     for j in sorted(moving_joints - joints_above_goals):
         # They move goals only through mimic joints: their position is irrelevant.
         builder.add_joint(j, root_frame)
-    limbs, faults = _limbs(rig, goals, moving_joints, frames, local)
-    return _build_chain(builder, rig, goals, frames, limbs), faults
+    limbs, faults = _limb_nodes(rig, goals, moving_joints, frame_by_joint, local)
+    return _build_chain(builder, rig, goals, frame_by_joint, limbs), faults
 
 
-def _limbs(
+def _limb_nodes(
     rig: Rig,
     goals: Sequence[Goal],
     moving_joints: set[int],
-    frames: dict[int, _Frame],
+    frame_by_joint: dict[int, _Frame],
     local: LocalTransforms,
 ) -> tuple[list[tuple[int, int]], list[Fault]]:
     """Return the root and middle node of each goal's limb, and faults in the limbs."""
@@ -249,7 +254,7 @@ def _limbs(
             faults.append(Fault("IK004", f"{message} there", where=f"goals[{i}]"))
         else:
             root, middle = limb
-            limbs[i] = (frames[root].node, frames[middle].node)
+            limbs[i] = (frame_by_joint[root].node, frame_by_joint[middle].node)
     return limbs, faults
 
 
@@ -257,20 +262,20 @@ def _build_chain(
     builder: _ChainBuilder,
     rig: Rig,
     goals: Sequence[Goal],
-    frames: dict[int, _Frame],
+    frame_by_joint: dict[int, _Frame],
     limbs: list[tuple[int, int]],
 ) -> Chain:
     """Return the chain of a builder, with lengths divided by the chain's length."""
-    goal_frames = [frames[rig.index(goal.joint)] for goal in goals]
+    goal_frames = [frame_by_joint[rig.index(goal.joint)] for goal in goals]
     tool_offsets = [
         so3.rotate(end.rotation, np.asarray(goal.offset, np.float64))
         for goal, end in zip(goals, goal_frames, strict=True)
     ]
-    points = [
+    goal_points = [
         end.translation + tool
         for end, tool in zip(goal_frames, tool_offsets, strict=True)
     ]
-    length = _chain_length(builder, goal_frames, points)
+    length = _chain_length(builder, goal_frames, goal_points)
     scales = np.where(builder.is_length, length, 1.0)
     nodes, numbers = _node_rows(builder, scales, length)
     goal_numbers = [

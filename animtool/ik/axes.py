@@ -8,7 +8,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit, UpAxis, unit_name, up_from_up
-from animtool.ik.goals import PARTS, path_to_root
+from animtool.ik.goals import GOAL_PARTS, path_to_root
 from animtool.ik.take_run import TakeIk
 from animtool.ik.values import SampleFrames
 from animtool.maths import so3
@@ -40,18 +40,18 @@ def limb_target(
 ) -> LimbTarget | None:
     """Return a goal's position target and limb at a time code; None if it has none."""
     track, rig = solved_take.tracks.goals[goal_index], solved_take.take.rig
-    value = track.values.get("position")
-    if value is None:
+    position_value = track.values.get("position")
+    if position_value is None:
         return None
-    path = path_to_root(rig, track.goal.joint, track.goal.root)
+    joints_to_root = path_to_root(rig, track.goal.joint, track.goal.root)
     positions = rest_world(rig).positions[0]
-    bones = positions[path[:-1]] - positions[path[1:]]
+    bones = positions[joints_to_root[:-1]] - positions[joints_to_root[1:]]
     length = float(np.linalg.norm(bones, axis=1).sum())
     fps = solved_take.take.clock.fps
-    point = value.sample(SampleFrames(np.array([frame]), fps))[0]
+    point = position_value.sample(SampleFrames(np.array([frame]), fps))[0]
     if not abs(point).max() < MAX_DISTANCE:
         return None
-    return LimbTarget(point, path[-1], positions[path[-1]], length)
+    return LimbTarget(point, joints_to_root[-1], positions[joints_to_root[-1]], length)
 
 
 def up_axis_hint(rig: Rig, target: LimbTarget | None) -> str | None:
@@ -121,7 +121,7 @@ def pole_hint(
         target: The target of that position.
     """
     row = int(np.abs(solved_take.take.clock.times - frame).argmin())
-    is_active = solved_take.active[row, goal_index, PARTS.index("pole")]
+    is_active = solved_take.active[row, goal_index, GOAL_PARTS.index("pole")]
     if not is_active or (target is not None and _is_out_of_reach(target)):
         return None
     name = solved_take.tracks.goals[goal_index].name
@@ -167,13 +167,13 @@ def crossed_goals(solved_take: TakeIk) -> list[tuple[int, int]]:
             ).any()
         ):
             continue
-        names = {
+        limb_joint_names = {
             rig.names[joint] for tip in (left, right) for joint in rig.upwards(tip)
         }
         limit_fractions = [
             float(is_on_limit[is_active].mean())
             for name, is_on_limit in solved_take.on_limits.items()
-            if name in names
+            if name in limb_joint_names
         ]
         if max(limit_fractions, default=0.0) >= MIN_LIMIT_FRACTION:
             crossed_pairs.append(goal_pair)

@@ -82,7 +82,7 @@ class Interval:
         return poses, miss_cost(misses, result.converged)
 
     def track(self, pose: FloatArray, rows: IntArray) -> tuple[FloatArray, int]:
-        """Solve row after row from a pose; return poses and how many precede a miss."""
+        """Solve rows in order from a pose; return poses and the count before a miss."""
         frame_options = replace(
             self.options, warm=True, restarts=0, iterations=TRACK_ITERATIONS
         )
@@ -120,7 +120,7 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
     fractions of the problem's length.
     """
     weights = np.array([goal.weights for goal in problem.goals])
-    weights = weights * PRIORITY_FACTOR ** problem.chain.goals[:, 3:4]
+    weights = weights * PRIORITY_FACTOR ** problem.chain.goal_nodes[:, 3:4]
     if targets.weights is not None:
         weights = weights * np.asarray(targets.weights, np.float64)
     largest_weight = weights.max(axis=(-2, -1), keepdims=True)

@@ -27,26 +27,26 @@ class Chain:
     nodes: IntArray
     # Rest rotation and offset, gain, shift, limits ``(N, 18)``; lengths are fractions
     # of ``length``.
-    numbers: FloatArray
-    goals: IntArray  # node, root and middle of the limb, level ``(E, 4)``
+    node_numbers: FloatArray
+    goal_nodes: IntArray  # node, root and middle of the limb, level ``(E, 4)``
     # Offset in the node's frame, of the joint and from the joint, aim axis, weights
     # ``(E, 9 + K)``.
     goal_numbers: FloatArray
     # Node_from_joint quaternions ``(E, 4)`` of the goals' joints.
-    goal_frames: FloatArray
-    columns: IntArray  # rig coordinate of each chain coordinate ``(C,)``
+    goal_rotations: FloatArray
+    rig_columns: IntArray  # rig coordinate of each chain coordinate ``(C,)``
     scales: FloatArray  # divisor of each chain coordinate ``(C,)``
     # Limits of each coordinate that covers a full revolution, else infinite ``(C, 2)``.
     periods: FloatArray
     # ``(first column of a ball, ball_from_joint quaternion)``.
-    ball_frames: tuple[tuple[int, FloatArray], ...]
+    ball_rotations: tuple[tuple[int, FloatArray], ...]
     degrees: int  # degrees of freedom
     length: float  # unit of lengths: the longest bone path to a goal [m]
 
     @property
     def kernel_arrays(self) -> tuple[IntArray, FloatArray, IntArray, FloatArray]:
         """Chain and goal arrays, the first arguments of IK kernels."""
-        return self.nodes, self.numbers, self.goals, self.goal_numbers
+        return self.nodes, self.node_numbers, self.goal_nodes, self.goal_numbers
 
     @cached_property
     def full_revolution_columns(self) -> IntArray:
@@ -56,22 +56,24 @@ class Chain:
     @cached_property
     def _ball_columns(self) -> tuple[IntArray, FloatArray]:
         """Columns ``(T, 4)`` of ball joints, and their frames ``(T, 4)``."""
-        first = np.array([column for column, _ in self.ball_frames], np.int64)
-        ball_frames = np.array([frame for _, frame in self.ball_frames]).reshape(-1, 4)
-        return first[:, None] + np.arange(4), ball_frames
+        first = np.array([column for column, _ in self.ball_rotations], np.int64)
+        ball_rotations = np.array([frame for _, frame in self.ball_rotations]).reshape(
+            -1, 4
+        )
+        return first[:, None] + np.arange(4), ball_rotations
 
     def from_rig(self, coordinates: FloatArray) -> FloatArray:
         """Return chain coordinates ``(B, C)`` from rig coordinates ``(B, Q)``."""
-        q = np.ascontiguousarray(coordinates[:, self.columns] / self.scales)
-        columns, ball_frames = self._ball_columns
-        q[:, columns] = _conjugate(so3.normalize(q[:, columns]), ball_frames)
+        q = np.ascontiguousarray(coordinates[:, self.rig_columns] / self.scales)
+        columns, ball_rotations = self._ball_columns
+        q[:, columns] = _conjugate(so3.normalize(q[:, columns]), ball_rotations)
         return q
 
     def into_rig(self, q: FloatArray, coordinates: FloatArray) -> FloatArray:
         """Return rig coordinates ``(B, Q)`` updated from the chain's ``(B, C)``."""
         q = q.copy()
-        columns, ball_frames = self._ball_columns
-        q[:, columns] = _conjugate(q[:, columns], so3.conjugate(ball_frames))
+        columns, ball_rotations = self._ball_columns
+        q[:, columns] = _conjugate(q[:, columns], so3.conjugate(ball_rotations))
         if len(self.full_revolution_columns):
             low, high = self.periods[self.full_revolution_columns].T
             angles = q[:, self.full_revolution_columns]
@@ -81,7 +83,7 @@ class Chain:
                 (angles < low) | (angles > high), wrapped_angles, angles
             )
         rig_coordinates = coordinates.copy()
-        rig_coordinates[:, self.columns] = q * self.scales
+        rig_coordinates[:, self.rig_columns] = q * self.scales
         return rig_coordinates
 
 
@@ -93,7 +95,7 @@ def _conjugate(q: FloatArray, frame: FloatArray) -> FloatArray:
 def joint_steps(chain: Chain, start: FloatArray, end: FloatArray) -> FloatArray:
     """Return steps between poses ``(..., D)``, from coordinates ``(..., C)``.
 
-    Pins in radians, slides in fractions of the chain's length, balls as rotation
+    Pins step in radians, slides in fractions of the chain's length, balls in rotation
     vectors [rad] in their rest frame. Pins without limits take the short direction.
     """
     start, end = np.broadcast_arrays(start, end)
@@ -142,20 +144,22 @@ def unwrap_angles(chain: Chain, poses: FloatArray) -> FloatArray:
 
 
 def with_periods(chain: Chain) -> FloatArray:
-    """Return the chain's ``numbers``, with limits for pins that exceed a revolution.
+    """Return ``node_numbers`` with limits for pins that exceed a revolution.
 
     Limits one revolution apart, or slightly more such as ±180.1°, are left out: an
     angle that crosses one continues at the other.
     """
-    numbers = chain.numbers.copy()
-    for row, (kind, _, column, driver_kind) in zip(numbers, chain.nodes, strict=True):
+    node_numbers = chain.node_numbers.copy()
+    for row, (kind, _, column, driver_kind) in zip(
+        node_numbers, chain.nodes, strict=True
+    ):
         # Driven joints have no limits here.
         if kind != PIN or driver_kind == FOLLOWS_PROGRAM:
             continue
         low, high = chain.periods[column]
         if high - low > 2 * np.pi + REVOLUTION_EXCESS and np.isfinite(low):
             row[14:16] = low, high
-    return numbers
+    return node_numbers
 
 
 def _unlimited_pins(chain: Chain) -> BoolArray:

@@ -17,7 +17,7 @@ import numpy as np
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, Goal, Targets, targets_of_frames
+from animtool.ik.goals import GOAL_KINDS, Goal, Targets, targets_of_frames
 from animtool.ik.problem import build
 from animtool.maths import so3
 from animtool.motion.take import Take
@@ -51,7 +51,7 @@ class SolveSpan:
         rotation = so3.multiply(self.carrier_rotations[:1], inverse)
         span_targets = targets_of_frames(targets, self.frames)
         values_by_kind = {}
-        for kind in KINDS:
+        for kind in GOAL_KINDS:
             values = np.asarray(getattr(span_targets, kind.targets_field))
             if kind.is_rotation:
                 values_by_kind[kind.targets_field] = so3.multiply(rotation, values)
@@ -159,13 +159,15 @@ def _moving_sources(
     return [j for j in sources - solved_joints if is_changed[j]]
 
 
-def with_controls(rig: Rig, values: Mapping[str, FloatArray], frame: int) -> Rig:
+def with_controls(
+    rig: Rig, control_values: Mapping[str, FloatArray], frame: int
+) -> Rig:
     """Return a rig whose control defaults are set to the control values of a frame."""
-    if not values:
+    if not control_values:
         return rig
     controls = tuple(
-        replace(control, default=float(values[control.name][frame]))
-        if control.name in values
+        replace(control, default=float(control_values[control.name][frame]))
+        if control.name in control_values
         else control
         for control in rig.controls
     )
@@ -183,7 +185,7 @@ def _rotation_joints(goals: Sequence[Goal], paths: Sequence[Sequence[int]]) -> s
 def _effective_rest_poses(
     rig: Rig, local: LocalTransforms, coordinates: FloatArray
 ) -> LocalTransforms:
-    """Return rest poses with which the coordinates reproduce the pose exactly."""
+    """Return the rest poses with which the coordinates reproduce the local poses."""
     # local = rest · motion, so rest = local · motion⁻¹.
     modeled_poses = local_from_coordinates(rig, coordinates)
     inverse_rest = so3.conjugate(rig.rest_rotations)
@@ -250,7 +252,7 @@ def check_scales(
         return
     is_scaled = (channel.rest != 1.0).any(axis=1)
     is_scaled[channel.animated] |= (channel.values != 1.0).any(axis=(0, 2))
-    faults = {}
+    fault_by_joint = {}
     path_text = None if path is None else str(path)
     for effector, joint in effectors:
         for j in take.rig.upwards(take.rig.index(joint)):
@@ -258,6 +260,6 @@ def check_scales(
                 name = take.rig.names[j]
                 message = f"{effector!r} is below {name!r}, which is scaled"
                 hint = "inverse kinematics needs joints without scale"
-                faults[name] = Fault("TGT016", message, path_text, (), hint)
-    if faults:
-        raise OptionError(list(faults.values()))
+                fault_by_joint[name] = Fault("TGT016", message, path_text, (), hint)
+    if fault_by_joint:
+        raise OptionError(list(fault_by_joint.values()))

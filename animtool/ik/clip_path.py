@@ -29,14 +29,14 @@ from animtool.ik.solving import pose_rows, solve
 
 # A step below this fraction of the jump threshold is smooth: no smoother path is
 # searched.
-SMOOTH_ENOUGH = 0.4
+MAX_SMOOTH_JUMP_RATIO = 0.4
 # Extra miss allowed for an unreachable goal where that makes a path smoother [m]: a few
 # such changes stay within the millimetre up to which a pose counts as nearest.
 MISS_SLACK = 2.5e-4
 # A pose nearer to the goals by more than this is better [m].
 MIN_IMPROVEMENT = 1e-3
 # Poses nearer than this are equal [rad], [fraction of the length].
-EQUAL_POSES = 1e-9
+EQUAL_POSE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +60,7 @@ class FollowOptions:
 
 
 class ClipPath:
-    """The frames of a clip, and the costs that compare paths through them.
+    """The frames of a clip, and the costs by which paths through them are compared.
 
     Attributes:
         problem: Goals and joints.
@@ -133,7 +133,7 @@ class ClipPath:
     def jump_ratios(self, poses: FloatArray, first: int = 0) -> FloatArray:
         """Return the largest joint step to each next frame over the jump threshold [1].
 
-        ``poses`` ``(L, C)`` of the frames from the first on.
+        ``poses`` ``(L, C)`` are those of consecutive frames that start at ``first``.
         """
         frames = slice(first, first + len(poses))
         steps = self.frame_path.select_frames(frames).steps(poses)
@@ -151,7 +151,7 @@ class ClipPath:
         targets = targets_of_frames(self.targets, window)
         weighted_misses = weight_misses(self.problem, misses, targets)
         is_reached = frame_path.max_tolerance_ratio(misses_in_tolerances) <= 1
-        unpenalized_step = SMOOTH_ENOUGH * self.jump_threshold
+        unpenalized_step = MAX_SMOOTH_JUMP_RATIO * self.jump_threshold
         return Interval(
             self.problem,
             self.targets,
@@ -223,7 +223,7 @@ class ClipPath:
         if later_frames.start < len(self):
             previous_end = current_poses[later_frames.start - 1]
             change = np.abs(joint_steps(chain, previous_end, poses[-1])).max()
-            if self.is_motion or change < EQUAL_POSES:
+            if self.is_motion or change < EQUAL_POSE_TOLERANCE:
                 results.append(result.select(later_frames))
             else:
                 last_pose = window_result.coordinates[-1]
@@ -234,9 +234,9 @@ class ClipPath:
 
 def _concatenate(results: Sequence[IkResult]) -> IkResult:
     """Concatenate results along the frame axis."""
-    arrays: dict[str, Any] = {
+    array_by_field: dict[str, Any] = {
         name: np.concatenate([getattr(result, name) for result in results])
         for name in PER_PROBLEM_ARRAYS
     }
     statuses = tuple(status for result in results for status in result.statuses)
-    return replace(results[0], statuses=statuses, **arrays)
+    return replace(results[0], statuses=statuses, **array_by_field)

@@ -18,7 +18,7 @@ from animtool.ik.branches import (
     search_long_interval,
     track_both_directions,
 )
-from animtool.ik.clip_path import SMOOTH_ENOUGH, ClipPath, FollowOptions
+from animtool.ik.clip_path import MAX_SMOOTH_JUMP_RATIO, ClipPath, FollowOptions
 from animtool.ik.goals import Targets
 from animtool.ik.nearest import frames_out_of_reach, with_nearest_poses
 from animtool.ik.path import find_clip_jumps, smooth, smoothing_faults
@@ -153,7 +153,7 @@ def _has_small_solution_set(clip: ClipPath) -> bool:
 def _is_worth_searching(clip: ClipPath, poses: FloatArray, attempt: int) -> bool:
     """Return whether the largest step is a jump that another path may avoid."""
     ratios = clip.jump_ratios(poses)
-    if not len(ratios) or ratios.max() <= (SMOOTH_ENOUGH if attempt else 1.0):
+    if not len(ratios) or ratios.max() <= (MAX_SMOOTH_JUMP_RATIO if attempt else 1.0):
         return False
     return _is_avoidable(clip, poses, int(ratios.argmax()) + 1)
 
@@ -258,7 +258,7 @@ def _with_shorter_jump(clip: ClipPath, result: IkResult, frame: int) -> IkResult
         ratio = clip.max_jump_ratio(even_path, first)
         if ratio < MIN_REDUCTION * smallest_ratio:
             smallest_ratio, best_window_path = ratio, (window, even_path)
-        if smallest_ratio <= SMOOTH_ENOUGH:
+        if smallest_ratio <= MAX_SMOOTH_JUMP_RATIO:
             break
     if best_window_path is None:
         return result
@@ -278,16 +278,18 @@ def _best_even_path(
     If it still jumps and begins with the clip, its first pose is free.
     """
     window = slice(interval.frames.start, interval.frames.stop)
-    path = clip.frame_path.select_frames(window)
+    window_path = clip.frame_path.select_frames(window)
     route = clip.best_route(interval, paths, costs, is_end_fixed=is_end_fixed)
-    best_even_path = path.with_even_speed(route)[0]
+    best_even_path = window_path.with_even_speed(route)[0]
     smallest_ratio = clip.max_jump_ratio(best_even_path, window.start)
     if window.start > 0 or smallest_ratio <= 1:
         return best_even_path
     free_start_route = clip.best_route(
         interval, paths, costs, is_end_fixed=is_end_fixed, is_start_free=True
     )
-    free_start_route = path.with_even_speed(free_start_route, is_start_free=True)[0]
+    free_start_route = window_path.with_even_speed(
+        free_start_route, is_start_free=True
+    )[0]
     ratio = clip.max_jump_ratio(free_start_route, window.start)
     return (
         free_start_route if ratio < MIN_REDUCTION * smallest_ratio else best_even_path
@@ -336,16 +338,16 @@ def _with_even_speed(clip: ClipPath, poses: FloatArray) -> FloatArray:
             half_width = max(round(seconds * clip.options.fps), 2)
             end = min(frame + half_width, len(clip))
             window = slice(max(frame - half_width, 0), end)
-            path = clip.frame_path.select_frames(window)
+            window_path = clip.frame_path.select_frames(window)
             smallest_ratio = clip.max_jump_ratio(poses[window], window.start)
             # The first pose of the clip moves only if that reduces a jump.
             for is_start_free in (False, True)[: 2 if window.start == 0 else 1]:
-                even_path = path.with_even_speed(
+                even_path = window_path.with_even_speed(
                     poses[window], is_start_free=is_start_free
                 )[0]
                 ratio = clip.max_jump_ratio(even_path, window.start)
                 if ratio < MIN_REDUCTION * smallest_ratio:
                     poses[window], smallest_ratio = even_path, ratio
-            if smallest_ratio <= SMOOTH_ENOUGH:
+            if smallest_ratio <= MAX_SMOOTH_JUMP_RATIO:
                 break
     return poses

@@ -39,7 +39,7 @@ _OPERATIONS = (
     *("floor", "lerp", "log", "max", "min", "pow", "sign", "sin", "smoothstep"),
     *("sqrt", "tan"),
 )
-_OPERATION_NUMBERS = {name: i for i, name in enumerate(_OPERATIONS)}
+_OPERATION_NUMBER_BY_NAME = {name: i for i, name in enumerate(_OPERATIONS)}
 
 # An operation, its reference (counted from 1), and its numbers.
 _Instruction = tuple[str, int, tuple[float, ...]]
@@ -99,10 +99,14 @@ class DriverPrograms:
     pose: FloatArray
     requested_programs: dict[str, int] = field(default_factory=dict)
     # Index of each program by target, in evaluation order.
-    _indices: dict[str, int] = field(default_factory=dict, init=False)
+    _program_index_by_target: dict[str, int] = field(default_factory=dict, init=False)
     # Chain coordinates by joint, and the divisor of each coordinate.
-    _sources: Mapping[int, CoordinateSource] = field(default_factory=dict, init=False)
-    _scales: FloatArray = field(default_factory=lambda: np.zeros(0), init=False)
+    _source_by_joint: Mapping[int, CoordinateSource] = field(
+        default_factory=dict, init=False
+    )
+    _coordinate_scales: FloatArray = field(
+        default_factory=lambda: np.zeros(0), init=False
+    )
 
     @property
     def plan(self) -> DriverPlan:
@@ -115,33 +119,36 @@ class DriverPrograms:
         return self.requested_programs.setdefault(target, len(self.requested_programs))
 
     def arrays(
-        self, sources: Mapping[int, CoordinateSource], scales: FloatArray
+        self, source_by_joint: Mapping[int, CoordinateSource], scales: FloatArray
     ) -> tuple[list[int], list[list[int]], list[list[float]]]:
         """Return the indices of the requested programs, and the arrays of all programs.
 
         They have a row for each instruction: nodes ``(., 4)`` and numbers ``(., 6)``.
 
         Args:
-            sources: Chain coordinates by joint.
+            source_by_joint: Chain coordinates by joint.
             scales: Divisor of each chain coordinate.
         """
-        self._sources, self._scales = sources, scales
+        self._source_by_joint, self._coordinate_scales = source_by_joint, scales
         needed_targets = set(self.requested_programs)
         for target in reversed(self.plan.order):
             if target in needed_targets:
                 needed_targets.update(self._targets_read_by(target))
         order = [target for target in self.plan.order if target in needed_targets]
-        self._indices = {target: i for i, target in enumerate(order)}
+        self._program_index_by_target = {target: i for i, target in enumerate(order)}
         nodes: list[list[int]] = []
         numbers: list[list[float]] = []
-        for target, program_index in self._indices.items():
+        for target, program_index in self._program_index_by_target.items():
             for operation_name, reference, values in self._target_program(target):
                 # The reference is counted from 1: 0 marks joint rows.
-                operation = _OPERATION_NUMBERS[operation_name]
+                operation = _OPERATION_NUMBER_BY_NAME[operation_name]
                 nodes.append([INSTRUCTION, program_index, operation, reference + 1])
                 numbers.append([*values, *[0.0] * (6 - len(values))])
         return (
-            [self._indices[target] for target in self.requested_programs],
+            [
+                self._program_index_by_target[target]
+                for target in self.requested_programs
+            ],
             nodes,
             numbers,
         )
@@ -149,25 +156,25 @@ class DriverPrograms:
     def _targets_read_by(self, target: str) -> list[str]:
         """Return the joints and controls whose values a target's program reads."""
         kind, _, name = target.partition("/")
-        names: list[str] = []
+        source_names: list[str] = []
         if kind == "joint":
             driver = self.plan.driver_of(self.rig.index(name))
             if isinstance(driver, Mimic):
                 return [f"joint/{driver.joint}"]
-            names += driver.names
+            source_names += driver.names
         else:
             control = self._control_of(name)
             if control.driven is not None:
-                names += control.driven.names
+                source_names += control.driven.names
             else:
-                names += [
+                source_names += [
                     source for drive in self._drives_of(name) for source in drive.names
                 ]
         return [
             f"joint/{joint}"
             if (joint := split_coordinate(source)[0])
             else f"control/{source}"
-            for source in names
+            for source in source_names
         ]
 
     def _control_of(self, name: str) -> Control:
@@ -241,30 +248,30 @@ class DriverPrograms:
         """Return the program that reads a control or a joint coordinate."""
         joint_name, part = split_coordinate(name)
         target = f"joint/{joint_name}" if joint_name else f"control/{name}"
-        if target in self._indices:
-            return [("result", self._indices[target] + 1, (1.0,))]
+        if target in self._program_index_by_target:
+            return [("result", self._program_index_by_target[target] + 1, (1.0,))]
         if not joint_name:
             return [("number", 0, (self._control_of(name).default,))]
         joint_index = self.rig.index(joint_name)
         joint = self.rig.joints[joint_index]
-        if joint_index not in self._sources:
+        if joint_index not in self._source_by_joint:
             return [("number", 0, (self._static_coordinate(joint_index, part),))]
-        source = self._sources[joint_index]
+        source = self._source_by_joint[joint_index]
         column = source.column
         if joint.type is JointType.BALL:
             return [("ball", column + 1, _swing_twist_weights(joint, part))]
         program: list[_Instruction] = [
-            ("coordinate", column + 1, (float(self._scales[column]),))
+            ("coordinate", column + 1, (float(self._coordinate_scales[column]),))
         ]
         return [*program, *_multiply(source.gain), *_add(source.shift)]
 
     def _static_coordinate(self, joint_index: int, part: str) -> float:
         """Return the value of a static joint's coordinate [rad], [m]."""
-        values = self.pose[coordinate_slices(self.rig)[joint_index]][None]
+        coordinates = self.pose[coordinate_slices(self.rig)[joint_index]][None]
         joint = self.rig.joints[joint_index]
         if joint.type is JointType.BALL:
-            return float(ball_part_values(joint, part, values)[0])
-        return float(values[0, 0])
+            return float(ball_part_values(joint, part, coordinates)[0])
+        return float(coordinates[0, 0])
 
 
 def _multiply(factor: float) -> list[_Instruction]:

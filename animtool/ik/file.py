@@ -23,7 +23,7 @@ from animtool.documents.arrays import Archives
 from animtool.documents.check import validate_file
 from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import MAX_FRAME
-from animtool.ik.goals import KINDS, PARTS, Goal, GoalKind, root_problem
+from animtool.ik.goals import GOAL_KINDS, GOAL_PARTS, Goal, GoalKind, root_problem
 from animtool.ik.schema import GoalModel, TargetsModel, WeightsModel
 from animtool.ik.suspicions import (
     warn_of_angles,
@@ -33,7 +33,7 @@ from animtool.ik.suspicions import (
     warn_of_stretch,
 )
 from animtool.ik.tracks import DEFAULT_RATE, GoalTrack, TargetTracks
-from animtool.ik.values import Constant, Value, ValueReader
+from animtool.ik.values import ConstantValue, SampledValue, ValueReader
 from animtool.rig.parts import IkChain, Vector
 from animtool.rig.skeleton import Rig
 
@@ -85,7 +85,7 @@ class _TargetsReader:
         units = self._read_units()
         roots = project_roots(document.path)
         first = self.first
-        self.values = ValueReader(
+        self.value_reader = ValueReader(
             document, rig, units, roots, archives, first, row_count
         )
 
@@ -103,7 +103,7 @@ class _TargetsReader:
             frames = float(self.first), float(self.last)
         self._merge_unknown_effectors()
         warn_of_seconds(self.document, fps or DEFAULT_RATE, frames, goals)
-        units, rig = self.values.units, self.rig
+        units, rig = self.value_reader.units, self.rig
         warn_of_angles(self.document, goals, units, rig)
         warn_of_stretch(self.document, self.model.goals)
         if rig is not None:
@@ -128,8 +128,8 @@ class _TargetsReader:
         ]
         if self.rig is None or not effector_faults:
             return
-        chains = [chain.name for chain in self.rig.chains]
-        known_names = [*chains, *self.rig.names]
+        chain_names = [chain.name for chain in self.rig.chains]
+        known_names = [*chain_names, *self.rig.names]
         effectors = (goal.effector for goal in self.model.goals)
         unknown_names = [name for name in effectors if name not in known_names]
         are_similar = [bool(most_similar(name, known_names)) for name in unknown_names]
@@ -138,24 +138,24 @@ class _TargetsReader:
             are_similar, goal_count, MIN_UNKNOWN_EFFECTORS
         ):
             return
-        if is_only_goal and chains:
+        if is_only_goal and chain_names:
             # It may be a typing error, or a goal of another rig.
             fault = effector_faults[0]
             hint = (fault.hint or "").removesuffix("?")
             hint += ", or are these the targets of another rig? the chains of "
-            hint += f"{self.rig.name!r} are {listed(list(map(repr, chains)), 8)}"
+            hint += f"{self.rig.name!r} are {listed(list(map(repr, chain_names)), 8)}"
             faults[faults.index(fault)] = replace(fault, hint=hint.lstrip(", "))
         if is_only_goal:
             return
-        names = list(dict.fromkeys(map(repr, unknown_names)))
+        quoted_names = list(dict.fromkeys(map(repr, unknown_names)))
         message = (
             f"{len(unknown_names)} of {goal_count} effectors are not in "
-            f"{self.rig.name!r}: {listed(names, 4)}; these targets look like those of "
-            "another rig"
+            f"{self.rig.name!r}: {listed(quoted_names, 4)}; these targets look like "
+            "those of another rig"
         )
         hint = f"{self.rig.name!r} has no chains"
-        if chains:
-            hint = f"the chains of {self.rig.name!r} are {listed(chains, 8)}"
+        if chain_names:
+            hint = f"the chains of {self.rig.name!r} are {listed(chain_names, 8)}"
         hint += "; pass the rig that the targets are for"
         merged_fault = replace(effector_faults[0], message=message, hint=hint)
         other_faults = [fault for fault in faults if fault not in effector_faults]
@@ -195,10 +195,16 @@ class _TargetsReader:
         root = self._read_root(location, model, joint, chain)
         hold_spans = self._read_spans((*location, "hold"), model.hold)
         active_spans = self._read_spans((*location, "during"), model.during)
-        values = {kind.name: self._read_value(location, model, kind) for kind in KINDS}
-        parts_to_hold = _hold_parts(values, chain) if hold_spans else frozenset[str]()
+        value_by_part = {
+            kind.name: self._read_value(location, model, kind) for kind in GOAL_KINDS
+        }
+        parts_to_hold = (
+            _hold_parts(value_by_part, chain) if hold_spans else frozenset[str]()
+        )
         value_parts = {
-            goal_part for goal_part in PARTS if getattr(model, goal_part) is not None
+            goal_part
+            for goal_part in GOAL_PARTS
+            if getattr(model, goal_part) is not None
         }
         is_empty = not value_parts - {"pole"} and not model.hold
         if is_empty and not self.document.has_placeholder_below(location):
@@ -209,12 +215,12 @@ class _TargetsReader:
         weights = self._read_weights((*location, "weight"), model.weight, used_parts)
         axes = [
             self._read_axis((*location, kind.name, "axis"), goal_part.axis)
-            for kind in KINDS
+            for kind in GOAL_KINDS
             if kind.has_axis and (goal_part := getattr(model, kind.name)) is not None
         ]
         if joint is None:
             return None
-        x, y, z = (value * self.values.units.length for value in model.offset)
+        x, y, z = (value * self.value_reader.units.length for value in model.offset)
         stretch = 0.0 if chain is None else chain.stretch
         goal = Goal(
             joint,
@@ -224,13 +230,13 @@ class _TargetsReader:
             priority=model.priority,
             soft=model.soft,
             stretch=stretch if model.stretch is None else model.stretch,
-            **{goal_part: float(goal_part in used_parts) for goal_part in PARTS},
+            **{goal_part: float(goal_part in used_parts) for goal_part in GOAL_PARTS},
         )
         return GoalTrack(
             model.effector,
             goal,
             chain,
-            values,
+            value_by_part,
             weights,
             tuple(hold_spans),
             model.ease,
@@ -241,14 +247,14 @@ class _TargetsReader:
 
     def _read_value(
         self, location: Location, model: GoalModel, kind: GoalKind
-    ) -> Value | None:
+    ) -> SampledValue | None:
         """Return the value of a part of a goal; None if absent."""
         key = kind.name
         location = (*location, key)
         value = getattr(model, key)
         if kind.has_axis and value is not None:
             location, value, key = (*location, "at"), value.at, "at"
-        return self.values.read_value(location, value, key)
+        return self.value_reader.read_value(location, value, key)
 
     def _read_effector(
         self, location: Location, name: str
@@ -337,7 +343,7 @@ class _TargetsReader:
         location: Location,
         model: float | WeightsModel,
         used_parts: AbstractSet[str],
-    ) -> dict[str, Value]:
+    ) -> dict[str, SampledValue]:
         """Return the weights of the parts; constant weights of 1 are left out."""
         if not isinstance(model, WeightsModel):
             if model == 0 and not self.document.is_placeholder(location):
@@ -345,9 +351,9 @@ class _TargetsReader:
                 self.document.add("TGT002", location, message, "remove the goal")
             if model == 1:
                 return {}
-            return {part: Constant((float(model),)) for part in PARTS}
-        weights: dict[str, Value] = {}
-        for part in PARTS:
+            return {part: ConstantValue((float(model),)) for part in GOAL_PARTS}
+        weight_by_part: dict[str, SampledValue] = {}
+        for part in GOAL_PARTS:
             weight = getattr(model, part)
             if weight is None:
                 continue
@@ -356,16 +362,16 @@ class _TargetsReader:
                 self.document.warn("TGT101", (*location, part), message)
             curve = self._read_weight((*location, part), weight)
             if curve is not None:
-                weights[part] = curve
-        return weights
+                weight_by_part[part] = curve
+        return weight_by_part
 
     def _read_weight(
         self, location: Location, model: float | CurveModel
-    ) -> Value | None:
+    ) -> SampledValue | None:
         """Return a weight or weight curve, or None after recording a fault."""
         if not isinstance(model, CurveModel):
-            return Constant((float(model),))
-        curve = self.values.read_curve(location, model, "weight")
+            return ConstantValue((float(model),))
+        curve = self.value_reader.read_curve(location, model, "weight")
         if curve is not None and (curve.channel.values < 0).any():
             k = int(np.argmax(curve.channel.values[:, 0] < 0))
             message = f"weight {curve.channel.values[k, 0]:g} is less than 0"
@@ -374,11 +380,11 @@ class _TargetsReader:
 
 
 def _hold_parts(
-    values: dict[str, Value | None], chain: IkChain | None
+    value_by_part: dict[str, SampledValue | None], chain: IkChain | None
 ) -> frozenset[str]:
     """Return the parts that `hold` spans keep: those with targets, else the chain's."""
     pose_parts = ("position", "orientation")
-    parts_with_value = frozenset(p for p in pose_parts if values[p] is not None)
+    parts_with_value = frozenset(p for p in pose_parts if value_by_part[p] is not None)
     chain_goal = "pose" if chain is None else chain.goal
     goal_parts = frozenset(part for part in pose_parts if chain_goal in {part, "pose"})
     return parts_with_value or goal_parts

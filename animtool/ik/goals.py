@@ -53,7 +53,7 @@ class GoalKind:
 
 
 # In the order of residuals, weights and misses, as in the kernel.
-KINDS = (
+GOAL_KINDS = (
     GoalKind(
         "position",
         "positions",
@@ -110,15 +110,15 @@ KINDS = (
         weight_example=0.1,
     ),
 )
-PARTS = tuple(kind.name for kind in KINDS)
+GOAL_PARTS = tuple(kind.name for kind in GOAL_KINDS)
 # Columns of each target in a kernel row, followed by the weight factors.
-_TARGET_ENDS = tuple(accumulate(kind.value_type.value for kind in KINDS))
+_TARGET_ENDS = tuple(accumulate(kind.value_type.value for kind in GOAL_KINDS))
 TARGET_COLUMNS = {
     kind.name: slice(end - kind.value_type.value, end)
-    for kind, end in zip(KINDS, _TARGET_ENDS, strict=True)
+    for kind, end in zip(GOAL_KINDS, _TARGET_ENDS, strict=True)
 }
-WEIGHT_COLUMNS = slice(_TARGET_ENDS[-1], _TARGET_ENDS[-1] + len(KINDS))
-IS_LENGTH = np.array([kind.is_length for kind in KINDS], np.bool_)
+WEIGHT_COLUMNS = slice(_TARGET_ENDS[-1], _TARGET_ENDS[-1] + len(GOAL_KINDS))
+IS_LENGTH = np.array([kind.is_length for kind in GOAL_KINDS], np.bool_)
 
 
 def by_unit(length: float, angle: float) -> FloatArray:
@@ -171,7 +171,7 @@ class Goal:
 
     def __post_init__(self) -> None:
         """Raise if a target was passed as a weight (TGT007)."""
-        for kind in KINDS:
+        for kind in GOAL_KINDS:
             weight = getattr(self, kind.name)
             if isinstance(weight, Real):
                 continue
@@ -185,12 +185,12 @@ class Goal:
     @property
     def weights(self) -> tuple[float, ...]:
         """Weights of position, orientation, aim and pole."""
-        return tuple([getattr(self, part) for part in PARTS])
+        return tuple([getattr(self, part) for part in GOAL_PARTS])
 
     @property
     def kinds(self) -> tuple[GoalKind, ...]:
         """Goal kinds with a weight above 0."""
-        return tuple(kind for kind in KINDS if getattr(self, kind.name) > 0)
+        return tuple(kind for kind in GOAL_KINDS if getattr(self, kind.name) > 0)
 
     @property
     def rows(self) -> int:
@@ -288,18 +288,18 @@ def _root_faults(goal: Goal, rig: Rig, where: str) -> list[Fault]:
     return [Fault("TGT012", f"its root {message}", where=where, hint=hint)]
 
 
-def root_problem(rig: Rig, root: str, joint: str, form: str) -> tuple[str, str]:
+def root_problem(rig: Rig, root: str, joint: str, swap_hint: str) -> tuple[str, str]:
     """Return the message and hint of a root that is not above its joint (TGT012).
 
     Args:
         rig: Has both joints.
         root: Name of the goal's root.
         joint: Name of the goal's joint.
-        form: Hint for swapped names, with both as ``{joint!r}`` and ``{root!r}``.
+        swap_hint: Hint for swapped names, with both as ``{joint!r}`` and ``{root!r}``.
     """
     if rig.index(joint) in rig.upwards(rig.index(root)):
         message = f"{root!r} is below {joint!r}: the two are exchanged"
-        return message, form.format(joint=root, root=joint)
+        return message, swap_hint.format(joint=root, root=joint)
     names_above = [rig.names[j] for j in rig.upwards(rig.index(joint))[1:]]
     other_name = mirrored_name(root)
     hint = f"above it are {listed([repr(name) for name in names_above])}"
@@ -321,7 +321,9 @@ def targets_of_frames(targets: Targets, frames: IntArray | slice) -> Targets:
 def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     """Return targets packed for kernels ``(B, E, W)``; unused numbers are finite."""
     faults: list[Fault] = []
-    columns_by_name = {kind.targets_field: TARGET_COLUMNS[kind.name] for kind in KINDS}
+    columns_by_name = {
+        kind.targets_field: TARGET_COLUMNS[kind.name] for kind in GOAL_KINDS
+    }
     columns_by_name["weights"] = WEIGHT_COLUMNS
     supplied_arrays = []
     for name, columns in columns_by_name.items():
@@ -337,7 +339,7 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     shape = (min(problem_counts, default=1), len(goals), WEIGHT_COLUMNS.stop)
     packed_targets = np.zeros(shape)
     packed_targets[:, :, WEIGHT_COLUMNS] = 1.0
-    for kind in KINDS:
+    for kind in GOAL_KINDS:
         if kind.is_rotation:
             packed_targets[:, :, TARGET_COLUMNS[kind.name].stop - 1] = 1.0
     for columns, array in supplied_arrays:
@@ -346,14 +348,14 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
     has_weight = np.array([goal.weights for goal in goals]) > 0
     is_active = np.asarray(has_weight & (packed_targets[:, :, WEIGHT_COLUMNS] > 0))
     is_missing = is_active & [
-        getattr(targets, kind.targets_field) is None for kind in KINDS
+        getattr(targets, kind.targets_field) is None for kind in GOAL_KINDS
     ]
     if faults or is_missing.any() or not _are_all_values_valid(packed_targets):
         faults += _value_faults(packed_targets, is_active, is_missing)
         np.nan_to_num(packed_targets, copy=False, nan=0.0, posinf=0.0, neginf=0.0)
     if faults:
         raise OptionError(faults)
-    for kind in KINDS:
+    for kind in GOAL_KINDS:
         if kind.is_direction:
             # Squares of huge numbers overflow.
             directions = packed_targets[:, :, TARGET_COLUMNS[kind.name]]
@@ -390,7 +392,7 @@ def _target_array(
 
 def _are_all_values_valid(packed_targets: FloatArray) -> bool:
     """Return whether all packed values are valid, including unused ones."""
-    columns = [TARGET_COLUMNS[kind.name] for kind in KINDS if kind.is_rotation]
+    columns = [TARGET_COLUMNS[kind.name] for kind in GOAL_KINDS if kind.is_rotation]
     are_rotations_valid = all(
         packed_targets[:, :, c].any(axis=2).all() for c in columns
     )
@@ -411,7 +413,7 @@ def _value_faults(
         b, e = (int(i) for i in np.argwhere(is_invalid)[0])
         message = f"weights[{b}, {e}] are not finite numbers from 0"
         faults.append(Fault("TGT007", message))
-    for i, kind in enumerate(KINDS):
+    for i, kind in enumerate(GOAL_KINDS):
         name = kind.targets_field
         if is_missing[..., i].any():
             goal = int(np.argwhere(is_missing[..., i])[0, 1])

@@ -59,7 +59,7 @@ def jump_threshold(fps: float) -> float:
 
 
 def find_jumps(
-    names: Sequence[str],
+    joint_names: Sequence[str],
     source_poses: LocalTransforms | None,
     solved_poses: LocalTransforms,
     goal_moves: FloatArray,
@@ -75,7 +75,7 @@ def find_jumps(
     one step; and where the motion around a step does not predict it, as in rule MOT202.
 
     Args:
-        names: Names of the J joints.
+        joint_names: Names of the J joints.
         source_poses: The F source poses; None is a static source.
         solved_poses: The F solved poses.
         goal_moves: Motion of the goals from frame to frame ``(F - 1,)`` [rad], [chain
@@ -91,7 +91,7 @@ def find_jumps(
     moving_joints = _moving_joints(source_poses, solved_poses, revolutions)
     if not len(moving_joints):
         return ()
-    names = [names[j] for j in moving_joints]
+    joint_names = [joint_names[j] for j in moving_joints]
     solved_poses = _select_joints(solved_poses, moving_joints)
     if source_poses is not None:
         source_poses = _select_joints(source_poses, moving_joints)
@@ -114,7 +114,7 @@ def find_jumps(
     is_jump |= _find_isolated_steps(excess_steps, goal_steps)
     is_pop = find_rotation_pops(solved_steps, 1.0 / fps, is_cut_before)[0]
     is_jump |= is_pop & ~find_rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
-    jumps = _jumps_at(names, is_jump, angles, source_angles, goal_steps)
+    jumps = _jumps_at(joint_names, is_jump, angles, source_angles, goal_steps)
     solved_steps = np.diff(solved_poses.translations, axis=0)
     source_steps = np.diff(source_poses.translations, axis=0)
     sizes, source_sizes = (
@@ -126,7 +126,9 @@ def find_jumps(
     pop_limits = (1.0 / fps, is_cut_before, MIN_SLIDE * length, SLIDE_NOISE * length)
     is_pop = find_translation_pops(solved_steps, *pop_limits)[0]
     is_jump |= is_pop & ~find_translation_pops(source_steps, *pop_limits)[0]
-    jumps += _jumps_at(names, is_jump, sizes, source_sizes, goal_steps, length=length)
+    jumps += _jumps_at(
+        joint_names, is_jump, sizes, source_sizes, goal_steps, length=length
+    )
     return tuple(sorted(jumps, key=lambda jump: jump.frame))
 
 
@@ -173,7 +175,7 @@ def _find_isolated_steps(steps: FloatArray, goal_moves: FloatArray) -> BoolArray
 
 
 def _jumps_at(
-    names: Sequence[str],
+    joint_names: Sequence[str],
     is_jump: BoolArray,
     steps: FloatArray,
     source_steps: FloatArray,
@@ -186,7 +188,7 @@ def _jumps_at(
     return [
         Jump(
             int(t) + 1,
-            names[int(j)],
+            joint_names[int(j)],
             float(steps[t, j]) * (length or 1.0),
             float(source_steps[t, j]) * (length or 1.0),
             length is not None,

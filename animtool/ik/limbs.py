@@ -93,14 +93,19 @@ def find_limbs(
 
 
 def _goal_limb(
-    rig: Rig, goal: Goal, e: int, moving_joints: set[int], chain: Chain
+    rig: Rig, goal: Goal, goal_index: int, moving_joints: set[int], chain: Chain
 ) -> GoalLimb:
     """Return the limb of a goal, with its bones, reach and rest position."""
-    path = _goal_nodes(chain, e)
+    path_nodes = _goal_nodes(chain, goal_index)
     joints_above = rig.upwards(rig.index(goal.joint))
     top_index = max(i for i, j in enumerate(joints_above) if j in moving_joints)
-    bone_offset, tool_offset = chain.goal_numbers[e, :3], chain.goal_numbers[e, 3:6]
-    length_between = float(np.linalg.norm(chain.numbers[path[1:], 9:12], axis=1).sum())
+    bone_offset, tool_offset = (
+        chain.goal_numbers[goal_index, :3],
+        chain.goal_numbers[goal_index, 3:6],
+    )
+    length_between = float(
+        np.linalg.norm(chain.node_numbers[path_nodes[1:], 9:12], axis=1).sum()
+    )
     tip_offset = bone_offset + tool_offset
     tip_length = float(np.linalg.norm(tip_offset))
     alignment, extension = 0.0, 1.0
@@ -108,13 +113,15 @@ def _goal_limb(
         alignment = max(float(bone_offset @ tip_offset) / tip_length, 0.0)
     straight_length = length_between + tip_length
     if straight_length > 0:
-        extension = min(_limb_reach(chain, path, tip_offset) / straight_length, 1.0)
+        extension = min(
+            _limb_reach(chain, path_nodes, tip_offset) / straight_length, 1.0
+        )
     if extension > 1 - STRAIGHT_TOLERANCE:
         extension = 1.0
     return GoalLimb(
-        e,
+        goal_index,
         tuple(joints_above[:top_index]),
-        chain.numbers[path[0], 9:12],
+        chain.node_numbers[path_nodes[0], 9:12],
         extension * straight_length,
         extension * (length_between + alignment),
         goal.soft,
@@ -122,29 +129,31 @@ def _goal_limb(
     )
 
 
-def _limb_reach(chain: Chain, path: list[int], end_offset: FloatArray) -> float:
+def _limb_reach(chain: Chain, path_nodes: list[int], end_offset: FloatArray) -> float:
     """Return the reach of a limb of two bones and a pin; infinity for others.
 
     ``end_offset`` ``(3,)``: the goal's point in the frame of the path's last node.
     """
     bending_nodes = [
-        n for n in path[1:] if np.linalg.norm(chain.numbers[n, 9:12]) > ZERO_LENGTH
+        n
+        for n in path_nodes[1:]
+        if np.linalg.norm(chain.node_numbers[n, 9:12]) > ZERO_LENGTH
     ]
-    last_node = path[-1]
+    last_node = path_nodes[-1]
     if (
         bending_nodes != [last_node]
-        or len(path) != 2
+        or len(path_nodes) != 2
         or chain.nodes[last_node, [0, 3]].any()
     ):
         return np.inf
-    if chain.numbers[last_node, 12] != 1 or chain.numbers[last_node, 13] != 0:
+    if chain.node_numbers[last_node, 12] != 1 or chain.node_numbers[last_node, 13] != 0:
         return np.inf
-    offset = chain.numbers[last_node, 9:12]
-    x, y, z = chain.numbers[last_node, :9].reshape(3, 3).T @ offset
+    offset = chain.node_numbers[last_node, 9:12]
+    x, y, z = chain.node_numbers[last_node, :9].reshape(3, 3).T @ offset
     cosine_part = x * end_offset[0] + y * end_offset[1]
     sine_part = y * end_offset[0] - x * end_offset[1]
     # The squared reach is a constant plus a cosine about its farthest angle.
-    low, high = chain.numbers[last_node, 14:16]
+    low, high = chain.node_numbers[last_node, 14:16]
     farthest = float(np.arctan2(sine_part, cosine_part))
     if np.isfinite(low):
         farthest += 2 * np.pi * float(np.ceil((low - farthest) / (2 * np.pi)))
@@ -179,9 +188,9 @@ def _limb_fault(
     return None
 
 
-def _goal_nodes(chain: Chain, e: int) -> list[int]:
+def _goal_nodes(chain: Chain, goal_index: int) -> list[int]:
     """Return the nodes that move a goal, from the root."""
-    path, node = [], int(chain.goals[e, 0])
+    path, node = [], int(chain.goal_nodes[goal_index, 0])
     while node >= 0:
         path.append(node)
         node = int(chain.nodes[node, 1])

@@ -23,11 +23,11 @@ from animtool.core.errors import Fault, OptionError, Severity, listed
 from animtool.core.names import name_hint, unused_name
 from animtool.core.record import dataclass
 from animtool.ik.chain_frame import check_scales
-from animtool.ik.goals import PARTS, path_to_root
+from animtool.ik.goals import GOAL_PARTS, path_to_root
 from animtool.ik.matching import Matched, match
 from animtool.ik.sub_rig import sub_rig
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import ArrayRows, Constant, KeyedValue, Value
+from animtool.ik.values import ArrayRows, ConstantValue, KeyedValue, SampledValue
 from animtool.ik.write import DEFAULT_EASE
 from animtool.maths import euler, so3
 from animtool.maths.curves import Interp
@@ -45,7 +45,7 @@ MAX_KEYED_FRAMES = 12
 REST_TOLERANCE = 1e-6
 MAX_LISTED_NAMES = 8
 # Channel targets of both kinds.
-_ROTATION, _TRANSLATION = "joint/x.rotation", "joint/x.translation"
+_ROTATION_TARGET, _TRANSLATION_TARGET = "joint/x.rotation", "joint/x.translation"
 
 
 def match_chains(rig: Rig, patterns: Sequence[str] = ()) -> tuple[IkChain, ...]:
@@ -184,15 +184,15 @@ def _goal_track(
 ) -> GoalTrack:
     """Return the target track of a chain."""
     goal = matched_limbs.goals[goal_index]
-    values: dict[str, Value | None] = dict.fromkeys(PARTS)
+    value_by_part: dict[str, SampledValue | None] = dict.fromkeys(GOAL_PARTS)
     tip = rig.joints[rig.index(chain.tip)]
     for kind in goal.kinds:
         target_values = np.asarray(getattr(matched_limbs.targets, kind.targets_field))
         name = f"{chain.name}_{kind.name}"
         rows = target_values[:, goal_index]
-        values[kind.name] = builder.build_value(rows, name, tip)
+        value_by_part[kind.name] = builder.build_value(rows, name, tip)
     return GoalTrack(
-        chain.name, goal, chain, values, {}, (), DEFAULT_EASE, frozenset[str]()
+        chain.name, goal, chain, value_by_part, {}, (), DEFAULT_EASE, frozenset[str]()
     )
 
 
@@ -205,9 +205,9 @@ class _ValueBuilder:
     array_file: str | None  # file of arrays; None writes keys
     first: Fraction  # frame of the first row
     reduce: float | None  # tolerance of sparse keys [m]; None keeps all
-    names: set[str] = field(default_factory=set)  # array names in use
+    used_names: set[str] = field(default_factory=set)  # array names in use
 
-    def build_value(self, rows: FloatArray, name: str, joint: Joint) -> Value:
+    def build_value(self, rows: FloatArray, name: str, joint: Joint) -> SampledValue:
         """Return the target value of rows ``(F, 3)`` or ``(F, 4)``.
 
         Args:
@@ -216,7 +216,7 @@ class _ValueBuilder:
             joint: Joint that decides the Euler order.
         """
         if (rows == rows[0]).all():
-            return Constant(tuple(rows[0].tolist()))
+            return ConstantValue(tuple(rows[0].tolist()))
         if self.reduce is not None:
             return self._fit_sparse_keys(rows, joint, self.reduce)
         if self.array_file is None:
@@ -227,8 +227,8 @@ class _ValueBuilder:
 
     def _unique_name(self, name: str) -> str:
         """Return a unique array name of word characters only."""
-        unique_name = unused_name(re.sub(r"\W", "_", name), self.names)
-        self.names.add(unique_name)
+        unique_name = unused_name(re.sub(r"\W", "_", name), self.used_names)
+        self.used_names.add(unique_name)
         return unique_name
 
     def _keys_per_frame(self, rows: FloatArray) -> ClipChannel:
@@ -237,7 +237,7 @@ class _ValueBuilder:
         is_rotation = component_count == 4
         tangents = (Tangent.AUTO_CLAMPED, Tangent.AUTO_CLAMPED)
         return ClipChannel(
-            _ROTATION if is_rotation else _TRANSLATION,
+            _ROTATION_TARGET if is_rotation else _TRANSLATION_TARGET,
             self.clock.times,
             rows,
             (Interp.SLERP if is_rotation else Interp.LINEAR,) * frame_count,
@@ -249,15 +249,19 @@ class _ValueBuilder:
 
     def _fit_sparse_keys(
         self, rows: FloatArray, joint: Joint, tolerance: float
-    ) -> Value:
+    ) -> SampledValue:
         """Fit sparse keys that stay within the tolerance of the rows."""
         if rows.shape[1] == 3:
             keys = fit_keys(rows, tolerance)
-            channel = fitted_channel(_TRANSLATION, keys, self.clock, self.units.length)
+            channel = fitted_channel(
+                _TRANSLATION_TARGET, keys, self.clock, self.units.length
+            )
             return KeyedValue(channel)
         order = euler_order(joint, rows)
         # Three rotations within a tolerance compose to at most sqrt(3) times it.
         angle = math.degrees(tolerance / SHELL_DISTANCE) / math.sqrt(3)
         keys = fit_keys(euler.from_quaternion(rows, order), angle)
         unit = self.units.angle
-        return KeyedValue(fitted_channel(_ROTATION, keys, self.clock, unit, order))
+        return KeyedValue(
+            fitted_channel(_ROTATION_TARGET, keys, self.clock, unit, order)
+        )

@@ -55,7 +55,7 @@ def find_nearest_poses(
         replace(frame_options, iterations=n)
         for n in (TRIAL_ITERATIONS, FULL_ITERATIONS)
     )
-    trial_results: list[FloatArray] = []
+    trial_poses: list[FloatArray] = []
     costs: list[FloatArray] = []
     for start in _start_poses(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
@@ -63,7 +63,7 @@ def find_nearest_poses(
         trial_result = solve(
             problem, rows, targets, trial_options, prefer=preferred_poses
         )
-        trial_results.append(trial_result.coordinates)
+        trial_poses.append(trial_result.coordinates)
         costs.append(miss_costs(trial_result, targets))
     best_result, order = result, np.argsort(costs, axis=0, kind="stable")
     for start_indices in order[:MAX_REFINED_STARTS]:
@@ -72,7 +72,7 @@ def find_nearest_poses(
         promising_rows = np.flatnonzero(best_costs < HOPELESS_RATIO * current_costs)
         if len(promising_rows):
             best_starts = start_indices[promising_rows]
-            starts = np.array(trial_results)[best_starts, promising_rows]
+            starts = np.array(trial_poses)[best_starts, promising_rows]
             promising_targets = targets_of_frames(targets, promising_rows)
             prefer = preferred_poses[promising_rows]
             trial_result = solve(
@@ -117,14 +117,14 @@ def _start_poses(
     chain = problem.chain
     max_starts = MAX_STARTS if problem.degrees <= MANY_DOFS else MAX_STARTS // 9
     pose = chain.from_rig(start[None])[0]
-    yield from _limit_combinations(chain, pose, max_starts)
+    yield from _joint_limit_poses(chain, pose, max_starts)
     yield from random_poses(chain, pose, max_starts, [seed])
 
 
-def _limit_combinations(
+def _joint_limit_poses(
     chain: Chain, start: FloatArray, max_pose_count: int
 ) -> Iterator[FloatArray]:
-    """Yield combinations of the first joint limits, at most ``max_pose_count``."""
+    """Yield at most ``max_pose_count`` poses that combine the first joints' limits."""
     ranges = []
     for (kind, _, column, driver_kind), numbers in zip(
         chain.nodes[:, :4], with_periods(chain), strict=True
@@ -148,9 +148,9 @@ def _replace_rows(
     statuses = list(result.statuses)
     for row, source in zip(rows.tolist(), from_rows.tolist(), strict=True):
         statuses[row] = replacement.statuses[source]
-    arrays = {}
+    array_by_field = {}
     for name in PER_PROBLEM_ARRAYS:
         values = getattr(result, name).copy()
         values[rows] = getattr(replacement, name)[from_rows]
-        arrays[name] = values
-    return replace(result, statuses=tuple(statuses), **arrays)
+        array_by_field[name] = values
+    return replace(result, statuses=tuple(statuses), **array_by_field)

@@ -15,7 +15,7 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.loaded import check_loaded
 from animtool.core.old_names import renamed_arguments
 from animtool.ik.chain_frame import check_scales, spans_of_take
-from animtool.ik.goals import PARTS, Goal, Targets, targets_of_frames
+from animtool.ik.goals import GOAL_PARTS, Goal, Targets, targets_of_frames
 from animtool.ik.options import TakeOptions
 from animtool.ik.solving import raise_faults
 from animtool.ik.sub_rig import sub_rig, with_ball_joints
@@ -61,18 +61,18 @@ def solve_fade_sources(
     spans overlap in their eases, the other's ease is ignored.
     """
     spans = _distinct_spans(tracks.goals)
-    takes: dict[object, Take] = {_ALWAYS_ACTIVE: take}
+    take_by_span: dict[object, Take] = {_ALWAYS_ACTIVE: take}
     if spans:
         always_active = [track for track in tracks.goals if not track.during]
         bare_take = _solve_for_goals(take, tracks, always_active, take, solve_tracks)
-        takes |= dict.fromkeys(spans, bare_take)
+        take_by_span |= dict.fromkeys(spans, bare_take)
     if len(spans) > 1:
         for span in spans:
             other_goals = [track for track in tracks.goals if _span_key(track) != span]
-            takes[span] = _solve_for_goals(
+            take_by_span[span] = _solve_for_goals(
                 take, tracks, other_goals, bare_take, solve_tracks
             )
-    return tuple(takes[_span_key(track)] for track in tracks.goals)
+    return tuple(take_by_span[_span_key(track)] for track in tracks.goals)
 
 
 _ALWAYS_ACTIVE: object = ()
@@ -217,7 +217,7 @@ def _solve_take(
     )
     rig_size = float(np.ptp(world.positions[0], axis=0).max())
     open_poles = None
-    if solved_take.active[:, :, PARTS.index("pole")].any():
+    if solved_take.active[:, :, GOAL_PARTS.index("pole")].any():
         open_poles = _find_open_poles(rig, joint_indices, solved_take, targets)
     return replace(
         solved_take,
@@ -243,7 +243,7 @@ def _find_open_poles(
     )
     is_on_line = np.zeros(is_part_active.shape[:2], np.bool_)
     for e, track in enumerate(solved_take.tracks.goals):
-        is_active = is_part_active[:, e, PARTS.index("pole")]
+        is_active = is_part_active[:, e, GOAL_PARTS.index("pole")]
         effector = FreeEffector(rig, track.goal, world)
         limb = effector.limb() if is_active.any() else None
         if limb is None:
@@ -251,7 +251,7 @@ def _find_open_poles(
         points = effector.position()
         root, middle = (world.positions[:, j] for j in limb)
         # The effector is off its position where the pole leads astray.
-        has_position = is_part_active[:, e, PARTS.index("position")]
+        has_position = is_part_active[:, e, GOAL_PARTS.index("position")]
         positions = np.asarray(targets.positions)[:, e]
         ends = np.where(has_position[:, None], positions, points)
         length = np.linalg.norm(middle - root, axis=1)
@@ -279,12 +279,12 @@ def _control_values(rig: Rig, take: Take) -> dict[str, FloatArray]:
     channel = take.motion.controls
     if channel is None or not rig.is_driven:
         return {}
-    names = plan_of(rig).controls_read()
+    read_names = plan_of(rig).controls_read()
     values = channel.gather(np.arange(len(channel.rest)))[:, :, 0]
     return {
         control.name: values[:, i]
         for i, control in enumerate(take.rig.controls)
-        if control.name in names
+        if control.name in read_names
     }
 
 
@@ -305,7 +305,7 @@ def _min_target_distances(
 def _broadcast_world(
     rig: Rig, joint_indices: IntArray, take: Take, reference: WorldTransforms
 ) -> WorldTransforms:
-    """Return a take's world transforms, a single frame repeated to the reference's."""
+    """Return a take's world transforms; a single frame is repeated as needed."""
     motion = take.motion
     world = forward_kinematics(
         rig,
@@ -362,7 +362,7 @@ def _movable_joint_names(
     """Return the names of the joints that may move; None is all that move a goal."""
     if not options.joints:
         return None
-    names: set[str] = set()
+    matching_names: set[str] = set()
     faults = []
     for pattern in options.joints:
         matches = {name for name in full_rig.names if fnmatchcase(name, pattern)}
@@ -370,7 +370,7 @@ def _movable_joint_names(
             message = f"no joint of {full_rig.name!r} matches {pattern!r}"
             hint = full_rig.joint_hint(pattern)
             faults.append(Fault("TGT001", message, hint=hint))
-        names |= matches
+        matching_names |= matches
     if faults:
         raise OptionError(faults)
-    return [name for name in rig.names if name in names]
+    return [name for name in rig.names if name in matching_names]

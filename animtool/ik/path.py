@@ -13,7 +13,13 @@ from animtool.core.errors import Fault, OptionError
 from animtool.core.loaded import check_loaded
 from animtool.core.record import dataclass
 from animtool.ik.chain import REVOLUTION_EXCESS, joint_steps, unwrap_angles
-from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Targets, by_unit
+from animtool.ik.goals import (
+    GOAL_KINDS,
+    TARGET_COLUMNS,
+    WEIGHT_COLUMNS,
+    Targets,
+    by_unit,
+)
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.limbs import SoftReach, extend_softly
 from animtool.ik.options import IkOptions
@@ -180,14 +186,14 @@ def build_frame_path(
 def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
     """Return the largest motion of the goals from frame to frame ``(F - 1,)``.
 
-    In radians, or fractions of the problem's length, over the goals that are active in
-    both frames. ``targets`` ``(F, E, W)``.
+    It is in radians, or fractions of the problem's length, and covers the goals that
+    are active in both frames. ``targets`` ``(F, E, W)``.
     """
     is_weighted = targets[:, :, WEIGHT_COLUMNS] > 0
     is_active = is_weighted[1:] & is_weighted[:-1]
     is_used = np.array([goal.weights for goal in problem.goals]) > 0
     steps = np.zeros(is_active.shape)
-    for i, kind in enumerate(KINDS):
+    for i, kind in enumerate(GOAL_KINDS):
         values = targets[:, :, TARGET_COLUMNS[kind.name]]
         if kind.is_rotation:
             steps[:, :, i] = so3.angle_between(values[1:], values[:-1])
@@ -268,8 +274,8 @@ def _find_jumps(
 def full_revolutions(rig: Rig, coordinates: FloatArray) -> FloatArray:
     """Return full revolutions of pins from frame to frame ``(F - 1, J)`` [rad].
 
-    For pins with limits wider than a revolution: their rotation does not show the
-    revolution, but a cable would. ``coordinates`` ``(F, Q)``.
+    Only pins with limits wider than a revolution have any: their rotation does not
+    show the revolution, but a cable would. ``coordinates`` ``(F, Q)``.
     """
     revolutions = np.zeros((max(len(coordinates) - 1, 0), len(rig.joints)))
     for j, columns in enumerate(coordinate_slices(rig)):

@@ -110,7 +110,7 @@ def build(
             two bones (IK004), reversed limits (IK005), no goals (IK006), a goal's root
             that is not above its joint (TGT012), a limb that is soft or stretches but
             slides, has a root that is moved, or shares its bones with another that
-            stretches (IK008), a bone longer than numbers have squares for (IK009), or
+            stretches (IK008), a bone longer than 1e100 m (IK009), or
             ``rest_weight`` less than 0 (IK014).
         ValueError: ``pose`` does not fit the rig.
 
@@ -256,7 +256,7 @@ def _with_followers(
 def fixed_columns(problem: Problem) -> IntArray:
     """Return columns of joints that do not move, but would move a goal ``(C,)``.
 
-    In a rig with drivers, which may read any joint, of all that are not driven.
+    In a rig with drivers, which may read any joint, these are all that are not driven.
     """
     rig = problem.rig
     goals = [replace(goal, root=None) for goal in problem.goals]
@@ -264,11 +264,11 @@ def fixed_columns(problem: Problem) -> IntArray:
         joints = set(range(len(rig.joints))).difference(plan_of(rig).joints)
     else:
         joints = find_moving_joints(rig, goals)
-    names, slices = set(problem.joints), coordinate_slices(rig)
+    moving_names, slices = set(problem.joints), coordinate_slices(rig)
     columns = [
         column
         for j in sorted(joints)
-        if rig.joints[j].name not in names
+        if rig.joints[j].name not in moving_names
         for column in range(slices[j].start, slices[j].stop)
     ]
     return np.array(columns, np.int64)

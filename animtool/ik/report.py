@@ -24,7 +24,7 @@ from animtool.ik.axes import (
     unit_hint,
     up_axis_hint,
 )
-from animtool.ik.goals import IS_LENGTH, PARTS, by_unit
+from animtool.ik.goals import GOAL_PARTS, IS_LENGTH, by_unit
 from animtool.ik.jumps import Jump
 from animtool.ik.limbs import find_limbs
 from animtool.ik.options import REPORTED_MISS, REPORTED_MISS_DEGREES
@@ -37,7 +37,7 @@ from animtool.rig.skeleton import JointType
 # Default misses above which a goal is reported [m], [rad].
 MISSED_LENGTH = parse_length(REPORTED_MISS)
 MISSED_ANGLE = math.radians(REPORTED_MISS_DEGREES)
-# Misses above this many chain lengths suggest wrong units.
+# MissStatistics above this many chain lengths suggest wrong units.
 FAR_MISS_RATIO = 10.0
 UNITS_QUESTION = "do the targets use these units and this space?"
 # So do targets farther than this many rig sizes from the rig in every frame.
@@ -51,7 +51,7 @@ OVERFLOW_DISTANCE = 1e150
 
 
 @dataclass(frozen=True, slots=True)
-class Misses:
+class MissStatistics:
     """Statistics of the misses of one part of a goal, over the frames that use it."""
 
     part: str  # ``position`` [m], ``orientation``, ``aim`` or ``pole`` [rad]
@@ -66,7 +66,7 @@ class Misses:
     @property
     def is_length(self) -> bool:
         """Whether the miss is a length [m], not an angle [rad]."""
-        return bool(IS_LENGTH[PARTS.index(self.part)])
+        return bool(IS_LENGTH[GOAL_PARTS.index(self.part)])
 
     @property
     def unit(self) -> str:
@@ -90,16 +90,16 @@ class MissedSpan:
 
 @dataclass(frozen=True, slots=True)
 class GoalReport:
-    """Misses of one goal over a take, and the spans in which it is missed."""
+    """MissStatistics of one goal over a take, and the spans in which it is missed."""
 
     name: str  # name of the effector
     joint: str  # joint of the effector
     location: tuple[int, int]  # line and column in the targets file
-    misses: tuple[Misses, ...]  # one for each part that is used
+    misses: tuple[MissStatistics, ...]  # one for each part that is used
     spans: tuple[MissedSpan, ...]  # spans in which a tolerance is exceeded
 
     @property
-    def residuals(self) -> dict[str, Misses]:
+    def residuals(self) -> dict[str, MissStatistics]:
         """Miss statistics by goal part: ``position``, ``orientation`` and so on."""
         return {miss.part: miss for miss in self.misses}
 
@@ -130,7 +130,7 @@ def goal_reports(
             _miss_statistics(
                 part, times[is_targeted[:, i]], misses[is_targeted[:, i], i]
             )
-            for i, part in enumerate(PARTS)
+            for i, part in enumerate(GOAL_PARTS)
             if is_targeted[:, i].any()
         )
         goal = track.goal
@@ -145,10 +145,12 @@ def goal_reports(
     return reports
 
 
-def _miss_statistics(part: str, times: FloatArray, misses: FloatArray) -> Misses:
+def _miss_statistics(
+    part: str, times: FloatArray, misses: FloatArray
+) -> MissStatistics:
     """Return the statistics of one part's misses."""
     worst_index = int(np.argmax(misses))
-    return Misses(
+    return MissStatistics(
         part,
         len(misses),
         float(misses.mean()),
@@ -274,14 +276,14 @@ def _root_hint(solved_take: TakeIk) -> str | None:
     """Return a hint if a goal without root moves a free joint above other goals."""
     rig = solved_take.take.rig
     goals = [track.goal for track in solved_take.tracks.goals]
-    chains = [rig.upwards(rig.index(goal.joint)) for goal in goals]
-    for e, (goal, chain) in enumerate(zip(goals, chains, strict=True)):
+    ancestor_lists = [rig.upwards(rig.index(goal.joint)) for goal in goals]
+    for e, (goal, ancestors) in enumerate(zip(goals, ancestor_lists, strict=True)):
         if goal.root is not None:
             continue
-        for child, joint in pairwise(chain):
+        for child, joint in pairwise(ancestors):
             moves_other_goals = any(
-                joint in chain_of_other
-                for k, chain_of_other in enumerate(chains)
+                joint in other_ancestors
+                for k, other_ancestors in enumerate(ancestor_lists)
                 if k != e
             )
             if moves_other_goals and rig.joints[joint].type is JointType.FREE:
@@ -301,14 +303,14 @@ def span_notices(solved_take: TakeIk) -> list[Fault]:
     times = solved_take.take.clock.times
     if len(times) == 1:
         return []
-    frames = f"the frames {times[0]:g} to {times[-1]:g}"
+    frames_text = f"the frames {times[0]:g} to {times[-1]:g}"
     notices = []
     for i, track in enumerate(solved_take.tracks.goals):
         for first, last in track.spans:
             if last >= times[0] and first <= times[-1]:
                 continue
             message = f"the span from {span_label(first, last)}, to hold "
-            message += f"{track.name!r}, contains none of {frames}"
+            message += f"{track.name!r}, contains none of {frames_text}"
             offset = SHOT_OFFSET * round((first - times[0]) / SHOT_OFFSET)
             hint = "write spans in frames of the take"
             if offset and first - offset >= times[0] and last - offset <= times[-1]:
@@ -321,7 +323,7 @@ def span_notices(solved_take: TakeIk) -> list[Fault]:
 def rest_notices(solved_take: TakeIk) -> list[Fault]:
     """Return a warning if all goals only hold the rest pose (TGT109).
 
-    For targets that are solved without a motion to start from.
+    It concerns targets that are solved without a motion to start from.
     """
     goals = solved_take.tracks.goals
     if not goals or any(goal.parts or not goal.spans for goal in goals):
@@ -402,17 +404,17 @@ def _jump_hint(solved_take: TakeIk, worst_jump: Jump) -> str:
 
 def _fading_goal(solved_take: TakeIk, worst_jump: Jump) -> GoalTrack | None:
     """Return a goal of the joint that fades in or out at a jump."""
-    time = float(solved_take.take.clock.times[worst_jump.frame])
+    time_code = float(solved_take.take.clock.times[worst_jump.frame])
     for track in solved_take.tracks.goals:
         fade_ranges = [(first - track.ease, first) for first, _ in track.during]
         fade_ranges += [(last, last + track.ease) for _, last in track.during]
-        is_fading = any(start < time <= end + 1 for start, end in fade_ranges)
-        if is_fading and worst_jump.joint in _chain_names(solved_take, track):
+        is_fading = any(start < time_code <= end + 1 for start, end in fade_ranges)
+        if is_fading and worst_jump.joint in _names_to_root(solved_take, track):
             return track
     return None
 
 
-def _chain_names(solved_take: TakeIk, track: GoalTrack) -> list[str]:
+def _names_to_root(solved_take: TakeIk, track: GoalTrack) -> list[str]:
     """Return the names of a goal's joint and the joints above it."""
     rig = solved_take.take.rig
     return [rig.names[j] for j in rig.upwards(rig.index(track.goal.joint))]
@@ -432,7 +434,7 @@ def _straightening_goal(solved_take: TakeIk, worst_jump: Jump) -> str | None:
         )
         if (
             snaps_straight
-            and worst_jump.joint in _chain_names(solved_take, track)
+            and worst_jump.joint in _names_to_root(solved_take, track)
             and _may_be_soft(solved_take, e)
         ):
             return track.name
@@ -545,12 +547,12 @@ def status_text(solved_take: TakeIk) -> str:
 
     NEAREST and STEADIER frames are reported together if there are both.
     """
-    counts = {
+    count_by_status = {
         IkStatus(name): count for name, count in solved_take.status_counts.items()
     }
-    steadier_count = counts.pop(IkStatus.STEADIER, 0)
-    nearest_count = counts.pop(IkStatus.NEAREST, 0) if steadier_count else 0
-    texts = [f"{count} {status}" for status, count in counts.items()]
+    steadier_count = count_by_status.pop(IkStatus.STEADIER, 0)
+    nearest_count = count_by_status.pop(IkStatus.NEAREST, 0) if steadier_count else 0
+    texts = [f"{count} {status}" for status, count in count_by_status.items()]
     if steadier_count:
         text = f"{steadier_count + nearest_count} out of reach ({steadier_count} of "
         texts.append(f"{text}them on a smoother path than the nearest poses give)")

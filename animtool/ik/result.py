@@ -16,7 +16,7 @@ from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.core.rates import FractionLike, rate_option
 from animtool.core.record import dataclass
-from animtool.ik.goals import PARTS
+from animtool.ik.goals import GOAL_PARTS
 from animtool.ik.jumps import Jump
 from animtool.ik.problem import Problem
 from animtool.maths import so3
@@ -112,22 +112,22 @@ class IkResult:
     @property
     def positions(self) -> FloatArray:
         """Position misses of each goal ``(B, E)`` [m]; 0 if it has no position."""
-        return self.misses[:, :, PARTS.index("position")]
+        return self.misses[:, :, GOAL_PARTS.index("position")]
 
     @property
     def orientations(self) -> FloatArray:
         """Orientation misses of each goal ``(B, E)`` [rad]."""
-        return self.misses[:, :, PARTS.index("orientation")]
+        return self.misses[:, :, GOAL_PARTS.index("orientation")]
 
     @property
     def aims(self) -> FloatArray:
         """Aim misses of each goal ``(B, E)`` [rad]."""
-        return self.misses[:, :, PARTS.index("aim")]
+        return self.misses[:, :, GOAL_PARTS.index("aim")]
 
     @property
     def poles(self) -> FloatArray:
         """Pole misses of each goal ``(B, E)`` [rad]."""
-        return self.misses[:, :, PARTS.index("pole")]
+        return self.misses[:, :, GOAL_PARTS.index("pole")]
 
     @property
     def converged(self) -> BoolArray:
@@ -191,20 +191,24 @@ class IkResult:
 
     def select(self, rows: IntArray | slice) -> IkResult:
         """Return the result of the selected problems, with the same jumps."""
-        arrays = {name: getattr(self, name)[rows] for name in PER_PROBLEM_ARRAYS}
+        array_by_field = {
+            name: getattr(self, name)[rows] for name in PER_PROBLEM_ARRAYS
+        }
         statuses = tuple(np.array(self.statuses, object)[rows].tolist())
-        return replace(self, statuses=statuses, **arrays)
+        return replace(self, statuses=statuses, **array_by_field)
 
     def limits_active(self, index: int = 0) -> list[str]:
         """Return the names of the joints that are at a limit in pose ``index``."""
         row = self.coordinates[index][None]
-        names = frames_on_limits(self.problem, row)
-        return [name for name, is_on_limit in names.items() if is_on_limit[0]]
+        masks_by_joint = frames_on_limits(self.problem, row)
+        return [name for name, is_on_limit in masks_by_joint.items() if is_on_limit[0]]
 
     def __repr__(self) -> str:
         """Return the number of problems by status, and the worst miss."""
-        counts = Counter(map(str, self.statuses))
-        status_text = ", ".join(f"{count} {status}" for status, count in counts.items())
+        count_by_status = Counter(map(str, self.statuses))
+        status_text = ", ".join(
+            f"{count} {status}" for status, count in count_by_status.items()
+        )
         worst_position = float(self.positions.max(initial=0.0))
         missed_text = f"; goals missed: {len(self.missed)}" if self.missed else ""
         worst_text = f"worst position {worst_position:.3g} m"

@@ -22,7 +22,7 @@ from animtool.documents.fields import (
     Real,
     Vector,
 )
-from animtool.ik.goals import KINDS, TargetValue
+from animtool.ik.goals import GOAL_KINDS, TargetValue
 
 Weight = Annotated[Real, Field(ge=0)]
 
@@ -89,14 +89,14 @@ _TARGET_TYPES = {TargetValue.POINT: Vector, TargetValue.ROTATION: Quaternion}
 
 def _with_kinds(base: type[FileModel], *, uses_weights: bool) -> type[FileModel]:
     """Return a model with a key for each kind of goal: its weight, or its target."""
-    fields: dict[str, Any] = {}
-    for kind in KINDS:
+    field_by_key: dict[str, Any] = {}
+    for kind in GOAL_KINDS:
         target_type = (
             AimModel
             if kind.has_axis
             else _TARGET_TYPES[kind.value_type] | str | ValueModel
         )
-        fields[kind.name] = (
+        field_by_key[kind.name] = (
             (Weight | CurveModel if uses_weights else target_type) | None,
             key(
                 kind.weight_description if uses_weights else kind.description,
@@ -104,7 +104,7 @@ def _with_kinds(base: type[FileModel], *, uses_weights: bool) -> type[FileModel]
                 default=None,
             ),
         )
-    return create_model(base.__name__, __base__=base, **fields)
+    return create_model(base.__name__, __base__=base, **field_by_key)
 
 
 if TYPE_CHECKING:

@@ -12,7 +12,14 @@ from animtool.core.array_types import ArrayLike, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
 from animtool.core.names import name_hint
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, TARGET_COLUMNS, WEIGHT_COLUMNS, Goal, Targets, pack
+from animtool.ik.goals import (
+    GOAL_KINDS,
+    TARGET_COLUMNS,
+    WEIGHT_COLUMNS,
+    Goal,
+    Targets,
+    pack,
+)
 from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem, build, fixed_columns
 from animtool.ik.result import IkResult
@@ -32,7 +39,7 @@ if TYPE_CHECKING:
 # Differences below are rounding [rad], [m].
 POSE_TOLERANCE = 1e-12
 # Kinds of a plain joint goal: a position, a rotation, or both.
-JOINT_KINDS = (KINDS[0], KINDS[1])
+JOINT_KINDS = (GOAL_KINDS[0], GOAL_KINDS[1])
 # The goals of a call in order, each with a mask of its kinds.
 RequestedKinds: TypeAlias = tuple[tuple[str, tuple[bool, ...]], ...]
 
@@ -47,10 +54,10 @@ class _PackedProblem:
     # Columns of joints that do not move, but would move a goal.
     fixed_columns: IntArray
     targets: FloatArray  # packed target buffer ``(1, E, W)``
-    views: tuple[FloatArray, ...]  # views into the buffer, one per used part
+    target_views: tuple[FloatArray, ...]  # views into the buffer, one per used part
 
     def fits(self, pose: FloatArray) -> bool:
-        """Return whether joints that do not move have their values in a pose ``(Q,)``.
+        """Return whether a pose ``(Q,)`` leaves the static joints where they are.
 
         An invalid pose fits: the solve refuses it.
         """
@@ -191,8 +198,8 @@ class Session:
         packed_problem, target_buffer = self._fill_buffer(values_by_goal, start)
         problem = packed_problem.problem
         if not packed_problem.has_branches:
-            names = ", ".join(values_by_goal)
-            message = f"{names} ends no arm whose poses have a closed form"
+            goal_names = ", ".join(values_by_goal)
+            message = f"{goal_names} ends no arm whose poses have a closed form"
             hint = "six pins in a row, the last three meeting in a point or the second "
             hint += "to fourth parallel, with a position and a rotation to reach"
             raise OptionError(Fault("IK015", message, hint=hint))
@@ -246,7 +253,9 @@ class Session:
             packed_problem = self._pack_problem(key, pose)
         self._packed_problems[key] = packed_problem
         try:
-            for view, target in zip(packed_problem.views, target_values, strict=True):
+            for view, target in zip(
+                packed_problem.target_views, target_values, strict=True
+            ):
                 if len(target) != len(view):
                     raise ValueError  # noqa: TRY301 - of the same kind as numpy's
                 view[:] = target
@@ -298,10 +307,10 @@ def _goals_by_name(
         if name in goals_by_name:
             faults.append(Fault("IK006", f"{name!r} has two goals"))
         goals_by_name[name] = None if isinstance(goal, str) else goal
-    chains = [chain.name for chain in rig.chains]
+    chain_names = [chain.name for chain in rig.chains]
     for name, named_goal in goals_by_name.items():
-        names = rig.names if named_goal else [*chains, *rig.names]
-        faults += _unknown_joint_faults(rig, name, names)
+        allowed_names = rig.names if named_goal else [*chain_names, *rig.names]
+        faults += _unknown_joint_faults(rig, name, allowed_names)
     for name in joints:
         faults += _unknown_joint_faults(rig, name, rig.names)
     if faults:
@@ -309,12 +318,14 @@ def _goals_by_name(
     return goals_by_name
 
 
-def _unknown_joint_faults(rig: Rig, name: str, names: Sequence[str]) -> list[Fault]:
+def _unknown_joint_faults(
+    rig: Rig, name: str, allowed_names: Sequence[str]
+) -> list[Fault]:
     """Return a fault unless a name is one of the allowed names (TGT001)."""
-    if name in names:
+    if name in allowed_names:
         return []
     message = f"no joint of {rig.name!r} is {excerpt(name)}"
-    return [Fault("TGT001", message, hint=name_hint(name, names))]
+    return [Fault("TGT001", message, hint=name_hint(name, allowed_names))]
 
 
 def _split_targets(
@@ -357,6 +368,6 @@ def _targets_of_buffer(target_buffer: FloatArray) -> Targets:
     """Return targets from a packed buffer."""
     values_by_field = {
         kind.targets_field: target_buffer[:, :, TARGET_COLUMNS[kind.name]]
-        for kind in KINDS
+        for kind in GOAL_KINDS
     }
     return Targets(**values_by_field, weights=target_buffer[:, :, WEIGHT_COLUMNS])

@@ -34,7 +34,7 @@ _KERNEL_STATUSES = (
 # Decreasing weights that pull restarted poses towards the start.
 PULL_WEIGHTS = (1e-2, 1e-3, 1e-4, 0.0)
 # Range of each option in the kernel.
-COUNT_RANGES = {
+OPTION_RANGES = {
     "iterations": (1, 2**31 - 1),
     "restarts": (0, 2**31 - 1),
     "seed": (0, 2**64 - 1),
@@ -129,7 +129,7 @@ def pack_for_chain(problem: Problem, targets: Targets) -> FloatArray:
     """Return targets packed in the chain's units and frames ``(B, E, W)``."""
     packed_targets = pack(targets, problem.goals)
     chain = problem.chain
-    _kernels.to_chain_targets(packed_targets, chain.goal_frames, chain.length)
+    _kernels.to_chain_targets(packed_targets, chain.goal_rotations, chain.length)
     return packed_targets
 
 
@@ -173,18 +173,20 @@ def _pull_to_preferred(
 
 def option_faults(options: IkOptions) -> dict[str, list[Fault]]:
     """Return faults that do not depend on the problem, by option."""
-    faults: dict[str, list[Fault]] = {}
+    faults_by_option: dict[str, list[Fault]] = {}
     for name in ("tolerance", "angle_tolerance"):
         value = getattr(options, name)
-        faults[name] = _fault_unless(value > 0, name, "more than 0", value)
-    for name, (low, high) in COUNT_RANGES.items():
+        faults_by_option[name] = _fault_unless(value > 0, name, "more than 0", value)
+    for name, (low, high) in OPTION_RANGES.items():
         value = getattr(options, name)
         is_valid = bool(isinstance(value, (int, np.integer)) and low <= value <= high)
         rule = f"a whole number from {low} to {high}"
-        faults[name] = _fault_unless(is_valid, name, rule, value)
+        faults_by_option[name] = _fault_unless(is_valid, name, rule, value)
     seconds = options.seconds
-    faults["seconds"] = _fault_unless(seconds >= 0, "seconds", "at least 0", seconds)
-    return faults
+    faults_by_option["seconds"] = _fault_unless(
+        seconds >= 0, "seconds", "at least 0", seconds
+    )
+    return faults_by_option
 
 
 def _fault_unless(is_valid: bool, name: str, rule: str, value: float) -> list[Fault]:
@@ -203,7 +205,7 @@ def raise_faults(faults_by_option: Mapping[str, list[Fault]]) -> None:
 def pose_rows(
     problem: Problem, pose: ArrayLike | None, batch_size: int, name: str
 ) -> FloatArray:
-    """Return poses ``(B, Q)``, by default the problem's; one is for the whole batch."""
+    """Return poses ``(B, Q)``, by default the problem's; a single pose is repeated."""
     coordinate_count = problem.coordinates
     rows = problem.pose if pose is None else np.asarray(pose, np.float64)
     if rows.shape not in {(coordinate_count,), (batch_size, coordinate_count)}:
@@ -255,7 +257,7 @@ def _method_obstacle(problem: Problem, method: IkMethod) -> str | None:
     simple_methods = {IkMethod.CCD, IkMethod.FABRIK}
     kinds = [kind for goal in problem.goals for kind in goal.kinds]
     sliding_names = listed(_translating_joints(problem))
-    has_priorities = bool(problem.chain.goals[:, 3].any())
+    has_priorities = bool(problem.chain.goal_nodes[:, 3].any())
     rules = [
         (
             has_priorities,

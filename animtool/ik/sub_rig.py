@@ -31,14 +31,16 @@ def find_mimics(rig: Rig, joint_names: Collection[str]) -> list[str]:
     ['tail']
     """
     moving_names = set(joint_names)
-    leader_names = {j.name: j.mimic.joint for j in rig.joints if j.mimic is not None}
+    leader_by_follower = {
+        j.name: j.mimic.joint for j in rig.joints if j.mimic is not None
+    }
     while new_names := {
         name
-        for name, leader_name in leader_names.items()
+        for name, leader_name in leader_by_follower.items()
         if leader_name in moving_names and name not in moving_names
     }:
         moving_names |= new_names
-    mimic_names = {name for name in moving_names if name in leader_names}
+    mimic_names = {name for name in moving_names if name in leader_by_follower}
     if rig.is_driven:
         mimic_names.update(plan_of(rig).dependent_joints(moving_names))
     return [name for name in rig.names if name in mimic_names]
@@ -48,16 +50,16 @@ def with_mimics(
     rig: Rig, coordinates: FloatArray, moving_names: Collection[str]
 ) -> FloatArray:
     """Return coordinates ``(B, Q)`` with mimic and driven joints updated."""
-    names = find_mimics(rig, moving_names)
-    if not names:
+    mimic_names = find_mimics(rig, moving_names)
+    if not mimic_names:
         return coordinates
     if rig.is_driven:
         driven_names = {rig.names[j] for j in plan_of(rig).joints}
-        names = [name for name in names if name not in driven_names]
+        mimic_names = [name for name in mimic_names if name not in driven_names]
     slices, coordinates = coordinate_slices(rig), coordinates.copy()
     # Repeated for each name, so that chains of mimics are resolved.
-    for _ in names:
-        for name in names:
+    for _ in mimic_names:
+        for name in mimic_names:
             mimic = rig.joints[rig.index(name)].mimic
             assert mimic is not None
             leader_coordinates = coordinates[:, slices[rig.index(mimic.joint)]]
@@ -84,7 +86,7 @@ def leader_of(rig: Rig, joint: int) -> tuple[int, float, float]:
 
 def coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
     """Return coordinate limits by joint, narrowed by the limits of mimic joints."""
-    ranges: dict[int, tuple[float, float]] = {}
+    range_by_joint: dict[int, tuple[float, float]] = {}
     for j, joint in enumerate(rig.joints):
         if not isinstance(joint.limits, RangeLimit):
             continue
@@ -95,13 +97,15 @@ def coordinate_ranges(rig: Rig) -> dict[int, tuple[float, float]]:
             continue
         ends = (joint.limits.low, joint.limits.high)
         range_start, range_end = sorted((end - shift) / gain for end in ends)
-        low, high = ranges.get(leader, UNLIMITED)
-        ranges[leader] = max(low, range_start), min(high, range_end)
-    return {leader: (low, max(low, high)) for leader, (low, high) in ranges.items()}
+        low, high = range_by_joint.get(leader, UNLIMITED)
+        range_by_joint[leader] = max(low, range_start), min(high, range_end)
+    return {
+        leader: (low, max(low, high)) for leader, (low, high) in range_by_joint.items()
+    }
 
 
 def start_coordinates(rig: Rig) -> FloatArray:
-    """Return the rest pose ``(1, Q)``, within limits as of `within_limits`.
+    """Return the rest pose ``(1, Q)``, clamped as by `within_limits`.
 
     >>> from animtool.rig.skeleton import Joint, JointType
     >>> from animtool.rig.limits import RangeLimit
@@ -127,7 +131,7 @@ def within_limits(rig: Rig, coordinates: FloatArray) -> FloatArray:
     return coordinates
 
 
-def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
+def sub_rig(rig: Rig, joint_names: Iterable[str]) -> tuple[Rig, IntArray]:
     """Return a rig of the named joints and their ancestors, and their indices.
 
     Mimic joints of these joints, and the joints that they mimic, are included, with all
@@ -142,7 +146,7 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
     (['a', 'c'], [0, 2])
     """
     included_joints: set[int] = set()
-    pending_joints = [rig.index(name) for name in names]
+    pending_joints = [rig.index(name) for name in joint_names]
     driver_links = _driver_links(rig) if rig.is_driven else {}
     while pending_joints:
         j = pending_joints.pop()
@@ -174,19 +178,19 @@ def sub_rig(rig: Rig, names: Iterable[str]) -> tuple[Rig, IntArray]:
 
 def _driver_links(rig: Rig) -> dict[int, list[int]]:
     """Return, for each joint, the joints that its driver reads and those it drives."""
-    linked_joints: dict[int, list[int]] = {}
+    linked_by_joint: dict[int, list[int]] = {}
     for name, sources in plan_of(rig).joints_read.items():
         for source_name in sources:
             joint_pair = rig.index(name), rig.index(source_name)
             for joint, linked_joint in (joint_pair, joint_pair[::-1]):
-                linked_joints.setdefault(joint, []).append(linked_joint)
-    return linked_joints
+                linked_by_joint.setdefault(joint, []).append(linked_joint)
+    return linked_by_joint
 
 
-def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]:
+def _supported_controls(rig: Rig, joint_names: Collection[str]) -> tuple[Control, ...]:
     """Return controls without drives of joints, and without unsupported drivers."""
     # Names of controls have no joint.
-    available_names = {"", *names}
+    available_names = {"", *joint_names}
     controls = []
     for control in rig.controls:
         drives = tuple(
@@ -201,7 +205,7 @@ def _supported_controls(rig: Rig, names: Collection[str]) -> tuple[Control, ...]
 
 
 def with_ball_joints(rig: Rig) -> Rig:
-    """Turn all joints but the roots into balls, if all joints of a rig are free.
+    """Return a rig with balls for all joints but the roots, if all its joints are free.
 
     In files without joint types, such as USD of other tools, all joints are free: then
     all but the roots become balls.
@@ -227,15 +231,17 @@ def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
     >>> [str(joint.type) for joint in with_joint_data_of(plain, typed).joints]
     ['free', 'pin']
     """
-    typed_joints = {joint.name: joint for joint in typed_rig.joints}
-    names = set(rig.names)
+    typed_joint_by_name = {joint.name: joint for joint in typed_rig.joints}
+    rig_names = set(rig.names)
     joints = []
     for joint in with_ball_joints(rig).joints:
-        typed_joint = typed_joints.get(joint.name)
+        typed_joint = typed_joint_by_name.get(joint.name)
         if typed_joint is None:
             joints.append(joint)
             continue
-        has_leader = typed_joint.mimic is not None and typed_joint.mimic.joint in names
+        has_leader = (
+            typed_joint.mimic is not None and typed_joint.mimic.joint in rig_names
+        )
         joints.append(
             replace(
                 joint,
@@ -246,12 +252,12 @@ def with_joint_data_of(rig: Rig, typed_rig: Rig) -> Rig:
                 limits=typed_joint.limits,
                 mimic=typed_joint.mimic if has_leader else None,
                 driven=typed_joint.driven
-                if _has_driver_inputs(typed_joint, names, rig)
+                if _has_driver_inputs(typed_joint, rig_names, rig)
                 else None,
             )
         )
     chains = tuple(
-        chain for chain in typed_rig.chains if {chain.root, chain.tip} <= names
+        chain for chain in typed_rig.chains if {chain.root, chain.tip} <= rig_names
     )
     return replace(rig, joints=tuple(joints), chains=chains)
 

@@ -95,10 +95,10 @@ def solve_options(options: Any) -> TakeOptions:
 
 def _options_without_tolerance(options: Any) -> TakeOptions:
     """Return the solve options without the tolerance, which is still text."""
-    names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
+    option_names = options_of(TakeOptions).keys() - {"tolerance", "angle_tolerance"}
     return TakeOptions(
         angle_tolerance=math.radians(options.angle_tolerance),
-        **{name: getattr(options, name) for name in names},
+        **{name: getattr(options, name) for name in option_names},
     )
 
 

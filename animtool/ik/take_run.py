@@ -14,7 +14,7 @@ from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.values import plain_value
 from animtool.ik.chain_frame import SolveSpan
-from animtool.ik.goals import PARTS, Goal, Targets, targets_of_frames
+from animtool.ik.goals import GOAL_PARTS, Goal, Targets, targets_of_frames
 from animtool.ik.jumps import Jump, find_jumps
 from animtool.ik.nearest import with_nearest_poses
 from animtool.ik.options import IkMethod, IkOptions, TakeOptions
@@ -41,7 +41,7 @@ from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import Rig
 
 # Coordinates that change by less keep their source value.
-EQUAL_COORDINATE = 1e-12
+EQUAL_COORDINATE_TOLERANCE = 1e-12
 # Methods that search a clip across branches; the others exist for comparison.
 PATH_METHODS = frozenset({IkMethod.AUTO, IkMethod.DAMPED, IkMethod.TWO_BONE})
 # Smoothing times tried where joints jump [s], and the factor by which a jump must
@@ -127,16 +127,20 @@ class TakeIk:
     @property
     def status_counts(self) -> dict[str, int]:
         """Number of frames by status."""
-        counts = Counter(self.statuses)
-        return {str(status): counts[status] for status in IkStatus if counts[status]}
+        count_by_status = Counter(self.statuses)
+        return {
+            str(status): count_by_status[status]
+            for status in IkStatus
+            if count_by_status[status]
+        }
 
     @property
     def limit_counts(self) -> dict[str, int]:
         """Number of frames in which each joint is at a limit; zeros are left out."""
-        counts = {
+        count_by_joint = {
             name: int(is_on_limit.sum()) for name, is_on_limit in self.on_limits.items()
         }
-        return {name: count for name, count in counts.items() if count}
+        return {name: count for name, count in count_by_joint.items() if count}
 
     @property
     def jumps_at_codes(self) -> list[dict[str, object]]:
@@ -191,9 +195,9 @@ def join_spans(
     results = [solution.result for solution in solutions]
     motion, problem = take.motion, results[0].problem
     rig = solutions[0].span.rig
-    names = {*problem.joints, *find_mimics(rig, problem.joints)}
+    changed_names = {*problem.joints, *find_mimics(rig, problem.joints)}
     stretched_joints = {j for limb in problem.limbs for j in limb.joints}
-    joints = sorted({rig.index(name) for name in names} | stretched_joints)
+    joints = sorted({rig.index(name) for name in changed_names} | stretched_joints)
     translations, rotations = local.translations[:, joints], local.rotations[:, joints]
     source_poses = LocalTransforms(translations.copy(), rotations.copy())
     for solution in solutions:
@@ -204,7 +208,7 @@ def join_spans(
         slices = coordinate_slices(span.rig)
         for i, j in enumerate(joints):
             change = np.abs(solved_rows[:, slices[j]] - source_rows[:, slices[j]])
-            is_changed = change.max(axis=1, initial=0.0) > EQUAL_COORDINATE
+            is_changed = change.max(axis=1, initial=0.0) > EQUAL_COORDINATE_TOLERANCE
             is_stretched = local_translations[:, j] != solved_poses.translations[:, j]
             is_changed |= is_stretched.any(axis=1)
             translations[frames, i][is_changed] = local_translations[is_changed, j]
@@ -376,7 +380,7 @@ class TakeSolver:
                 continue
             goals[e] = replace(track.goal, pole=1.0)
             point = _distant_pole(self.rig, track, self.world, span.frames.start)
-            poles[:, e], weights[:, e, PARTS.index("pole")] = point, 1.0
+            poles[:, e], weights[:, e, GOAL_PARTS.index("pole")] = point, 1.0
         if goals == self.goals:
             return span.coordinates[0], 0.0
         bent_problem = self._build_problem(span, goals)

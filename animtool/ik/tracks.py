@@ -15,15 +15,15 @@ from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, Goal, GoalKind, Targets
+from animtool.ik.goals import GOAL_KINDS, Goal, GoalKind, Targets
 from animtool.ik.limbs import limb_joints
 from animtool.ik.two_bone import bend_angle
 from animtool.ik.values import (
     ArrayRows,
     KeyedValue,
+    SampledValue,
     SampleFrames,
     Span,
-    Value,
     blend_holds,
     hold_weights,
     interpolate_rows,
@@ -199,8 +199,8 @@ class GoalTrack:
     goal: Goal  # with all parts that are active at some time
     chain: IkChain | None  # the rig's chain whose tip it is; None for a plain joint
     # By part; None for unused parts, and for parts that are only held.
-    values: Mapping[str, Value | None]
-    weights: Mapping[str, Value]  # weights by part; missing parts have weight 1
+    values: Mapping[str, SampledValue | None]
+    weights: Mapping[str, SampledValue]  # weights by part; missing parts have weight 1
     spans: tuple[Span, ...]  # held frames, ascending
     ease: float  # length of the ease before and after each span [frame]
     hold_parts: frozenset[str]  # the parts that the spans apply to
@@ -290,11 +290,11 @@ class TargetTracks:
             raise OptionError(faults)
         goals = []
         for track in self.goals:
-            values = dict(track.values)
+            value_by_part = dict(track.values)
             for part, value in track.values.items():
                 if isinstance(value, ArrayRows) and value.first is None:
-                    values[part] = replace(value, first=clock.start)
-            goals.append(replace(track, values=values))
+                    value_by_part[part] = replace(value, first=clock.start)
+            goals.append(replace(track, values=value_by_part))
         return replace(self, goals=tuple(goals))
 
     def sample(
@@ -323,12 +323,12 @@ class TargetTracks:
         shape = (len(times), len(self.goals))
         values_by_field = {
             kind.targets_field: np.zeros((*shape, kind.value_type.value))
-            for kind in KINDS
+            for kind in GOAL_KINDS
         }
-        for kind in KINDS:
+        for kind in GOAL_KINDS:
             if kind.is_rotation:
                 values_by_field[kind.targets_field][..., 3] = 1.0
-        weights = np.ones((*shape, len(KINDS)))
+        weights = np.ones((*shape, len(GOAL_KINDS)))
         for e, track in enumerate(self.goals):
             effector = FreeEffector(rig, track.goal, world)
             fading_effector = effector
@@ -338,7 +338,7 @@ class TargetTracks:
             if track.during:
                 span_weights = hold_weights(times, track.during, track.ease)
                 active_weights = span_weights.max(axis=0)
-            for i, kind in enumerate(KINDS):
+            for i, kind in enumerate(GOAL_KINDS):
                 if not track.goal.weights[i]:
                     continue
                 value, weight = _sample_part(track, kind, frames, effector)
@@ -372,13 +372,13 @@ def _sample_part(
     if not track.spans or part not in track.hold_parts:
         return curve_values, weight
     span_weights = hold_weights(frames.times, track.spans, track.ease)
-    starts = np.array([first for first, _ in track.spans])
+    hold_starts = np.array([first for first, _ in track.spans])
     if value is None:
-        rows = np.interp(starts, frames.times, np.arange(len(frames.times)))
+        rows = np.interp(hold_starts, frames.times, np.arange(len(frames.times)))
         hold_values = interpolate_rows(curve_values, rows)
         weight = weight * span_weights.max(axis=0)
     else:
-        hold_values = value.sample(replace(frames, times=starts))
+        hold_values = value.sample(replace(frames, times=hold_starts))
     return blend_holds(curve_values, span_weights, hold_values), weight
 
 

@@ -37,30 +37,30 @@ def incompatibility(problem: Problem) -> str | None:
 
 def _joint_obstacle(chain: Chain) -> str | None:
     """Return why the joints cannot bend and rotate the limb fully; None if they can."""
-    if not _is_unlimited(chain.numbers[0]):
+    if not _is_unlimited(chain.node_numbers[0]):
         return "its first joint has limits"
-    upper_bone = chain.numbers[1, 9:12]
+    upper_bone = chain.node_numbers[1, 9:12]
     lower_bone = chain.goal_numbers[0, :3] + chain.goal_numbers[0, 3:6]
     if min(np.linalg.norm(upper_bone), np.linalg.norm(lower_bone)) < ZERO_LENGTH:
         return "a bone has no length"
     if chain.nodes[1, 0] == BALL:
-        is_limited = not _is_unlimited(chain.numbers[1])
+        is_limited = not _is_unlimited(chain.node_numbers[1])
         return "its second joint is a ball with limits" if is_limited else None
-    axis = chain.numbers[1, :9].reshape(3, 3)[:, 2]
+    axis = chain.node_numbers[1, :9].reshape(3, 3)[:, 2]
     bone_along_axis = chain.goal_numbers[0, 2]
     tool_along_axis = chain.goal_numbers[0, 5]
     cosines = abs(axis @ upper_bone), abs(bone_along_axis), abs(tool_along_axis)
     is_across = max(cosines) < PERPENDICULAR_COSINE
-    is_unscaled = chain.numbers[1, 12] == 1 and chain.numbers[1, 13] == 0
+    is_unscaled = chain.node_numbers[1, 12] == 1 and chain.node_numbers[1, 13] == 0
     if chain.nodes[1, 0] == PIN and is_unscaled and is_across:
         return None
     return "its second joint does not rotate about an axis across both bones"
 
 
-def _is_unlimited(numbers: FloatArray) -> bool:
+def _is_unlimited(node_numbers: FloatArray) -> bool:
     """Return whether the node numbers of a joint contain no limits."""
     no_limits = np.array([np.inf, np.inf, -np.inf, np.inf])
-    return bool((numbers[14:18] == no_limits).all())
+    return bool((node_numbers[14:18] == no_limits).all())
 
 
 def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:

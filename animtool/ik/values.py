@@ -120,7 +120,7 @@ class SampleFrames:
         return np.asarray(self.times / float(self.fps))
 
 
-class Value(Protocol):
+class SampledValue(Protocol):
     """Points ``(F, 3)`` [m], rotations ``(F, 4)`` or weights ``(F, 1)`` over frames."""
 
     def sample(self, frames: SampleFrames) -> FloatArray:
@@ -129,7 +129,7 @@ class Value(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class Constant:
+class ConstantValue:
     """A value that is the same in every frame."""
 
     value: tuple[float, ...]
@@ -266,7 +266,7 @@ class ValueReader:
 
     def read_value(
         self, location: Location, model: list[float] | str | ValueModel | None, key: str
-    ) -> Value | None:
+    ) -> SampledValue | None:
         """Return the value of a file entry of any form; None if absent or faulty."""
         if model is None or self.document.is_placeholder(location):
             return None
@@ -276,11 +276,11 @@ class ValueReader:
             return self._read_keyed_or_prim(location, model, key)
         if key == "orientation":
             return self._read_rotation(location, model)
-        return Constant(tuple(value * self.units.length for value in model))
+        return ConstantValue(tuple(value * self.units.length for value in model))
 
     def _read_rotation(
         self, location: Location, numbers: list[float]
-    ) -> Constant | None:
+    ) -> ConstantValue | None:
         """Return a constant rotation; record a fault and return None if it is zero."""
         rotations, is_invalid = file_quaternions(np.array([numbers], np.float64))
         if is_invalid:
@@ -288,11 +288,11 @@ class ValueReader:
             self.document.add("TGT007", location, message)
             return None
         warn_of_quaternion_length(self.document, location, numbers)
-        return Constant(tuple(rotations[0].tolist()))
+        return ConstantValue(tuple(rotations[0].tolist()))
 
     def _read_keyed_or_prim(
         self, location: Location, model: ValueModel, key: str
-    ) -> Value | None:
+    ) -> SampledValue | None:
         """Return a value from keys or from a prim, or None after recording a fault."""
         if (model.keys is None) == (model.prim is None):
             message = "has neither keys nor a prim"
@@ -309,8 +309,8 @@ class ValueReader:
         if key == "orientation" and model.offset:
             unused_keys.append("offset")
         for name in dict.fromkeys(unused_keys):
-            subject = "keys have" if model.keys is not None else "only a prim has here"
-            self.document.add("TGT009", (*location, name), f"{subject} no {name}")
+            clause = "keys have" if model.keys is not None else "only a prim has here"
+            self.document.add("TGT009", (*location, name), f"{clause} no {name}")
         if model.keys is not None:
             curve_options = {
                 name: getattr(model, name)
@@ -323,7 +323,7 @@ class ValueReader:
 
     def _read_prim(
         self, location: Location, model: ValueModel, key: str
-    ) -> Value | None:
+    ) -> SampledValue | None:
         """Return a value that follows a prim, or None after recording a fault."""
         motion = self._open_prim_motion(location, model)
         if motion is None:

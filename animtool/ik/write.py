@@ -13,10 +13,10 @@ from animtool.core.array_types import FloatArray
 from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
 from animtool.core.record import dataclass
 from animtool.core.units import unit_name
-from animtool.ik.goals import PARTS, Goal
+from animtool.ik.goals import GOAL_PARTS, Goal
 from animtool.ik.schema import GoalModel
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import ArrayRows, Constant, KeyedValue, Value
+from animtool.ik.values import ArrayRows, ConstantValue, KeyedValue, SampledValue
 
 DEFAULT_EASE = float(GoalModel.model_fields["ease"].default)
 
@@ -73,7 +73,7 @@ class _TargetsWriter:
             yield f"root: {yaml_scalar(goal.root)}"
         if any(goal.offset):
             yield f"offset: {_flow_text(goal.offset, self.units.length)}"
-        for part in PARTS:
+        for part in GOAL_PARTS:
             value = track.values[part]
             if value is None:
                 continue
@@ -86,11 +86,11 @@ class _TargetsWriter:
         yield from self._weight_lines(track)
         yield from _option_lines(track, goal)
 
-    def _value_lines(self, key: str, value: Value) -> Iterator[str]:
+    def _value_lines(self, key: str, value: SampledValue) -> Iterator[str]:
         """Yield the lines of a value: a constant, an array or keys."""
         unit = 1.0 if key in {"orientation", "weight"} else self.units.length
         match value:
-            case Constant(row):
+            case ConstantValue(row):
                 numbers = _to_file_order(np.array([row]))[0].tolist()
                 yield f"{key}: {_flow_text(numbers, unit)}"
             case ArrayRows(name, rows):
@@ -108,13 +108,15 @@ class _TargetsWriter:
         weights = track.weights
         if not weights:
             return
-        first = weights.get(PARTS[0])
-        if isinstance(first, Constant) and weights == dict.fromkeys(PARTS, first):
+        first = weights.get(GOAL_PARTS[0])
+        if isinstance(first, ConstantValue) and weights == dict.fromkeys(
+            GOAL_PARTS, first
+        ):
             yield f"weight: {decimal_text(first.value[0])}"
             return
         yield "weight:"
         for part, weight in weights.items():
-            if isinstance(weight, Constant):
+            if isinstance(weight, ConstantValue):
                 yield f"  {part}: {decimal_text(weight.value[0])}"
             elif isinstance(weight, KeyedValue):
                 yield f"  {part}:"
@@ -122,7 +124,7 @@ class _TargetsWriter:
 
 
 def _option_lines(track: GoalTrack, goal: Goal) -> Iterator[str]:
-    """Yield the lines of a goal's options that differ from the defaults."""
+    """Yield the lines of a goal's options that differ from their defaults."""
     stretch = 0.0 if track.chain is None else track.chain.stretch
     for key, value, default in (
         ("priority", goal.priority, 0),

@@ -310,17 +310,20 @@ def evaluate(
     extrapolated_curves = _extrapolated_curves(curves, times)
     if not len(extrapolated_curves):
         return _values_in_range(curves, times[None], out)
-    starts, ends = _end_keys(curves)
+    start_keys, end_keys = _end_keys(curves)
     times_by_curve = np.tile(times, (len(curves.pre), 1))
     overshoot, cycles = np.zeros(times_by_curve.shape), np.zeros(times_by_curve.shape)
     for c in extrapolated_curves:
-        start, end = float(curves.times[starts[c]]), float(curves.times[ends[c]])
+        start, end = (
+            float(curves.times[start_keys[c]]),
+            float(curves.times[end_keys[c]]),
+        )
         folded_times = fold_times(times, start, end, curves.pre[c], curves.post[c])
         times_by_curve[c] = folded_times.times
         overshoot[c] = folded_times.overshoot
         cycles[c] = folded_times.cycles
     slopes = end_slopes(curves)
-    rises = curves.values[ends] - curves.values[starts]
+    rises = curves.values[end_keys] - curves.values[start_keys]
     values = _values_in_range(curves, times_by_curve, out)
     values += overshoot * np.where(overshoot < 0, slopes[:, :1], slopes[:, 1:])
     values += cycles * rises[:, None]
@@ -347,19 +350,23 @@ def end_slopes(curves: Curves) -> FloatArray:
     >>> end_slopes(line).tolist()
     [[0.5, 0.5]]
     """
-    starts, ends = _end_keys(curves)
-    is_single_key = starts == ends
-    second_keys = np.where(is_single_key, starts, starts + 1)
-    second_last_keys = np.where(is_single_key, ends, ends - 1)
-    first_slopes = _segment_slopes(curves, starts, second_keys, curves.outs[starts])
-    last_slopes = _segment_slopes(curves, second_last_keys, ends, -curves.ins[ends])
+    start_keys, end_keys = _end_keys(curves)
+    is_single_key = start_keys == end_keys
+    second_keys = np.where(is_single_key, start_keys, start_keys + 1)
+    second_last_keys = np.where(is_single_key, end_keys, end_keys - 1)
+    first_slopes = _segment_slopes(
+        curves, start_keys, second_keys, curves.outs[start_keys]
+    )
+    last_slopes = _segment_slopes(
+        curves, second_last_keys, end_keys, -curves.ins[end_keys]
+    )
     return np.stack([first_slopes, last_slopes], axis=-1)
 
 
 def _segment_slopes(
     curves: Curves, keys: IntArray, next_keys: IntArray, handles: FloatArray
 ) -> FloatArray:
-    """Return the slopes of segments at the ends to which the handles belong."""
+    """Return the slope of each segment at the end where its handle is ``(C,)``."""
     spans = curves.times[next_keys] - curves.times[keys]
     kinds = curves.kinds[keys]
     spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
@@ -380,11 +387,11 @@ def _extrapolated_curves(curves: Curves, times: FloatArray) -> IntArray:
     """Return the indices of curves that are extrapolated other than by holding."""
     if not len(times):
         return np.zeros(0, np.int64)
-    starts, ends = _end_keys(curves)
+    start_keys, end_keys = _end_keys(curves)
     has_pre = np.array([mode is not Extrapolation.HOLD for mode in curves.pre], bool)
     has_post = np.array([mode is not Extrapolation.HOLD for mode in curves.post], bool)
-    is_before = has_pre & (times.min() < curves.times[starts])
-    is_after = has_post & (times.max() > curves.times[ends])
+    is_before = has_pre & (times.min() < curves.times[start_keys])
+    is_after = has_post & (times.max() > curves.times[end_keys])
     return np.flatnonzero(is_before | is_after)
 
 

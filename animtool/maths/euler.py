@@ -28,7 +28,7 @@ def axes_of(order: str) -> tuple[int, int, int]:
 
 
 def to_quaternion(angles: ArrayLike, order: str) -> FloatArray:
-    """Return quaternions ``(F, 4)`` of Euler angles ``(F, 3)`` [deg] of an order.
+    """Return quaternions ``(F, 4)`` of Euler angles ``(F, 3)`` [deg] in a given order.
 
     Angles beyond 360 degrees lose no precision: they are reduced exactly, in degrees.
     Signs are continuous along F; the first is the one nearest to identity.

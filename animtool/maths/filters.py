@@ -39,7 +39,7 @@ def lowpass(
     order: int = 2,
     is_valid: BoolArray | None = None,
 ) -> FloatArray:
-    """Return signals low-pass filtered without lag ``(F, ...)``.
+    """Return the signals, low-pass filtered without lag ``(F, ...)``.
 
     Args:
         values: ``(F, ...)``.
@@ -91,7 +91,7 @@ def _penalty(frame_count: int, order: int) -> FloatArray:
 
 
 def _difference_coefficients(order: int) -> FloatArray:
-    """Return the coefficients of the finite difference of an order."""
+    """Return the finite-difference coefficients of the given order ``(order + 1,)``."""
     coefficients = [(-1) ** k * math.comb(order, k) for k in range(order + 1)]
     return np.array(coefficients, np.float64)
 

@@ -278,7 +278,7 @@ def from_matrix(matrix: ArrayLike) -> FloatArray:
 def nearest_rotations(matrices: FloatArray) -> FloatArray:
     """Return the rotation matrices nearest to matrices ``(..., 3, 3)``.
 
-    Of a covariance of points, it is the rotation of their best fit.
+    Applied to the covariance of two point sets, it gives their best-fit rotation.
 
     References:
         W. Kabsch, A solution for the best rotation to relate two sets of vectors, 1976.

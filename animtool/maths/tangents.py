@@ -151,16 +151,18 @@ def catmull_rom_controls(
     if len(points) < 2:
         return np.zeros(points.shape), np.zeros(points.shape)
     first, last = 2 * points[:1] - points[1:2], 2 * points[-1:] - points[-2:-1]
-    path = np.concatenate([first, points, last])
-    handles_after, handles_before = _inner_handles(path, alpha)
+    path_points = np.concatenate([first, points, last])
+    handles_after, handles_before = _inner_handles(path_points, alpha)
     # The outer handles of the ends have no segment and no effect.
     ins = np.concatenate([-handles_after[:1], handles_before])
     return ins, np.concatenate([handles_after, -handles_before[-1:]])
 
 
-def _inner_handles(path: FloatArray, alpha: float) -> tuple[FloatArray, FloatArray]:
+def _inner_handles(
+    path_points: FloatArray, alpha: float
+) -> tuple[FloatArray, FloatArray]:
     """Return Bézier handles after the start and before the end of inner segments."""
-    steps = np.diff(path, axis=0)
+    steps = np.diff(path_points, axis=0)
     knots = np.linalg.norm(steps, axis=1, keepdims=True) ** alpha
     a, h, b = knots[:-2], knots[1:-1], knots[2:]
     inner_steps = steps[1:-1]
@@ -228,7 +230,7 @@ class KeySlopes:
 
     @cached_property
     def tcb(self) -> tuple[FloatArray, FloatArray]:
-        """Slopes before and after each key by tension, continuity and bias."""
+        """Slopes before and after each key, from its tension, continuity and bias."""
         return tcb(self.times, self.values, self._tcb_parameters)
 
     @cached_property

@@ -47,7 +47,7 @@ class FootContacts:
 
 
 def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
-    """Smooth values ``(F, …)`` along frames by a Gaussian of a width [frames]."""
+    """Smooth values ``(F, …)`` over frames with a Gaussian of a width [frames]."""
     half_width = math.ceil(4 * width)
     if not half_width or len(values) < 2:
         return values
@@ -114,7 +114,7 @@ def find_contacts(
 
 
 def noise_speed(points: Sequence[FloatArray], fps: float) -> float:
-    """Estimate from third differences the speed that white noise causes [m/s]."""
+    """Return the apparent speed that white noise causes, by third differences [m/s]."""
     if len(points[0]) < 8:
         return 0.0
     differences = [np.diff(point, 3, axis=0) for point in points]

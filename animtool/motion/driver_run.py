@@ -53,12 +53,18 @@ class DriverRun:
     reports_replaced: bool = False
     plan: DriverPlan = field(init=False)
     # Angle of each unlimited pin at the end of the last block [rad].
-    _last_angles: dict[int, float] = field(default_factory=dict, init=False)
+    _last_angle_by_joint: dict[int, float] = field(default_factory=dict, init=False)
     # Each twist at the end of the last block [rad], and its first wrap [frame].
-    _last_twists: dict[str, float] = field(default_factory=dict, init=False)
-    _wrap_times: dict[str, float] = field(default_factory=dict, init=False)
-    _limit_excess: dict[str, LargestAmount] = field(default_factory=dict, init=False)
-    _replaced_amounts: dict[str, LargestAmount] = field(
+    _last_twist_by_coordinate: dict[str, float] = field(
+        default_factory=dict, init=False
+    )
+    _wrap_frame_by_coordinate: dict[str, float] = field(
+        default_factory=dict, init=False
+    )
+    _limit_excess_by_joint: dict[str, LargestAmount] = field(
+        default_factory=dict, init=False
+    )
+    _replaced_amount_by_target: dict[str, LargestAmount] = field(
         default_factory=dict, init=False
     )
     _targets_keeping_source: set[str] = field(default_factory=set, init=False)
@@ -93,7 +99,7 @@ class DriverRun:
         values = evaluate_drivers(self.plan, read_coordinate, controls, kept_targets)
         _check_defined(rig, values, times)
         for j, excess in values.excess.items():
-            largest_excess = self._limit_excess.setdefault(
+            largest_excess = self._limit_excess_by_joint.setdefault(
                 rig.names[j], LargestAmount()
             )
             largest_excess.keep_larger(np.abs(excess), times)
@@ -110,7 +116,7 @@ class DriverRun:
     def located_notices(self) -> list[tuple[Fault, str, float]]:
         """Return the warnings about drivers, with their targets and worst frames."""
         notices = []
-        for name, largest_amount in self._limit_excess.items():
+        for name, largest_amount in self._limit_excess_by_joint.items():
             joint = self.rig.joints[self.rig.index(name)]
             if largest_amount.amount > COORDINATE_ROUNDING:
                 message = (
@@ -121,20 +127,20 @@ class DriverRun:
                 hint = "widen the limits, or reduce the driver"
                 fault = warning("RIG103", message, hint)
                 notices.append((fault, f"joint/{name}", largest_amount.frame))
-        for name, time in self._wrap_times.items():
-            message = f"{name} crosses 180 degrees at frame {time:g}: what it drives "
+        for name, frame in self._wrap_frame_by_coordinate.items():
+            message = f"{name} crosses 180 degrees at frame {frame:g}: what it drives "
             message += "jumps there"
             hint = "the limits of the joint's twist place the seam"
             fault = warning("RIG105", message, hint)
-            notices.append((fault, f"joint/{split_coordinate(name)[0]}", time))
+            notices.append((fault, f"joint/{split_coordinate(name)[0]}", frame))
         if self._targets_keeping_source and self.reports_replaced:
             targets = self._targets_keeping_source
-            names = sorted(target.partition("/")[2] for target in targets)
+            target_names = sorted(target.partition("/")[2] for target in targets)
             message = "the take contains no controls for its drivers to read: "
-            message += f"{listed(names)} keep the take's values"
+            message += f"{listed(target_names)} keep the take's values"
             fault = Fault("RIG106", message, severity=Severity.NOTE)
             notices.append((fault, min(targets), 0.0))
-        for target, largest_amount in self._replaced_amounts.items():
+        for target, largest_amount in self._replaced_amount_by_target.items():
             kind, _, name = target.partition("/")
             amount = f"{largest_amount.amount:.4g}"
             if kind == "joint":
@@ -153,21 +159,23 @@ class DriverRun:
 
     def unwrap_angles(self, j: int, angles: FloatArray) -> FloatArray:
         """Return the angles ``(F,)`` of a hinge without limits, made continuous."""
-        last_angle = self._last_angles.get(j, 0.0)
+        last_angle = self._last_angle_by_joint.get(j, 0.0)
         unwrapped_angles = np.unwrap(np.concatenate([[last_angle], angles]))[1:]
         if len(unwrapped_angles):
-            self._last_angles[j] = float(unwrapped_angles[-1])
+            self._last_angle_by_joint[j] = float(unwrapped_angles[-1])
         return unwrapped_angles
 
     def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
         """Record the first frame at which a twist jumps by over half a revolution."""
         if not len(twists):
             return
-        steps = np.abs(np.diff(twists, prepend=self._last_twists.get(name, twists[0])))
+        steps = np.abs(
+            np.diff(twists, prepend=self._last_twist_by_coordinate.get(name, twists[0]))
+        )
         if (steps > HALF_REVOLUTION).any():
             wrap_index = int(np.argmax(steps > HALF_REVOLUTION))
-            self._wrap_times.setdefault(name, float(times[wrap_index]))
-        self._last_twists[name] = float(twists[-1])
+            self._wrap_frame_by_coordinate.setdefault(name, float(times[wrap_index]))
+        self._last_twist_by_coordinate[name] = float(twists[-1])
 
     def _find_targets_to_keep(self, motion: Motion) -> set[str]:
         """Return targets that keep the motion's values if the motion has no controls.
@@ -188,8 +196,10 @@ class DriverRun:
                 else:
                     is_posed = _is_posed(motion.rotations, j, rig.rest_rotations[j])
             elif kind == "shape" and motion.weights is not None:
-                names = [shape.name for shape in rig.shapes]
-                is_posed = _is_posed(motion.weights, names.index(name), np.zeros(1))
+                shape_names = [shape.name for shape in rig.shapes]
+                is_posed = _is_posed(
+                    motion.weights, shape_names.index(name), np.zeros(1)
+                )
             if is_posed:
                 kept_targets.add(target)
         self._targets_keeping_source |= kept_targets
@@ -209,19 +219,22 @@ class DriverRun:
     ) -> Motion:
         """Return a motion with the driven joints replaced."""
         rig = self.rig
-        rotations: dict[int, FloatArray] = {}
-        translations: dict[int, FloatArray] = {}
+        rotations_by_joint: dict[int, FloatArray] = {}
+        translations_by_joint: dict[int, FloatArray] = {}
         for j, value in driver_values.joints.items():
             joint = rig.joints[j]
             rest_rotation = np.array(joint.rotation)
             if joint.type is JointType.PRISMATIC:
                 slide = so3.rotate(rest_rotation, value[:, None] * np.array(joint.axis))
-                translations[j] = np.array(joint.translation) + slide
+                translations_by_joint[j] = np.array(joint.translation) + slide
             else:
                 rotation = so3.from_axis_angle(joint.axis, value)
-                rotations[j] = so3.multiply(rest_rotation, rotation)
-        for j, driven_values in [*rotations.items(), *translations.items()]:
-            is_rotation = j in rotations
+                rotations_by_joint[j] = so3.multiply(rest_rotation, rotation)
+        for j, driven_values in [
+            *rotations_by_joint.items(),
+            *translations_by_joint.items(),
+        ]:
+            is_rotation = j in rotations_by_joint
             channel = motion.rotations if is_rotation else motion.translations
             current_values = _joint_rows(channel, j)
             rest_values = rig.rest_rotations if is_rotation else rig.rest_translations
@@ -234,8 +247,8 @@ class DriverRun:
                 self._record_replaced(target, differences, times, COORDINATE_ROUNDING)
         return replace(
             motion,
-            rotations=_with_joint_rows(motion.rotations, rotations),
-            translations=_with_joint_rows(motion.translations, translations),
+            rotations=_with_joint_rows(motion.rotations, rotations_by_joint),
+            translations=_with_joint_rows(motion.translations, translations_by_joint),
         )
 
     def _driven_weights(
@@ -248,25 +261,25 @@ class DriverRun:
         channel = motion.weights
         if channel is None:
             channel = Channel.static(np.zeros((len(shapes), 1)), motion.frames)
-        source_weights = {
+        source_weights_by_shape = {
             shape.name: _column_values(channel, i) for i, shape in enumerate(shapes)
         }
-        uncombined_weights = subtract_combinations(shapes, source_weights)
+        uncombined_weights = subtract_combinations(shapes, source_weights_by_shape)
         uncombined_weights |= driver_values.shapes
         new_weights = add_combinations(shapes, uncombined_weights)
-        shape_indices = {shape.name: i for i, shape in enumerate(shapes)}
+        index_by_shape = {shape.name: i for i, shape in enumerate(shapes)}
         changed_shapes = dict.fromkeys(
             [*driver_values.shapes, *plan.combination_shapes]
         )
         for name in driver_values.shapes:
-            if source_weights[name].any():
-                differences = np.abs(new_weights[name] - source_weights[name])
+            if source_weights_by_shape[name].any():
+                differences = np.abs(new_weights[name] - source_weights_by_shape[name])
                 target = f"shape/{name}"
                 self._record_replaced(target, differences, times, WEIGHT_ROUNDING)
-        rows = {
-            shape_indices[name]: new_weights[name][:, None] for name in changed_shapes
+        rows_by_shape_index = {
+            index_by_shape[name]: new_weights[name][:, None] for name in changed_shapes
         }
-        return _with_joint_rows(channel, rows)
+        return _with_joint_rows(channel, rows_by_shape_index)
 
     def _driven_controls(
         self, motion: Motion, driver_values: DriverValues, times: FloatArray
@@ -275,25 +288,25 @@ class DriverRun:
         controls, channel = self.rig.controls, motion.controls
         if not driver_values.controls or channel is None:
             return channel
-        rows = {
+        rows_by_control_index = {
             i: driver_values.controls[control.name][:, None]
             for i, control in enumerate(controls)
             if control.name in driver_values.controls
         }
-        for i, value in rows.items():
+        for i, value in rows_by_control_index.items():
             source_values = _column_values(channel, i)
             if (source_values != controls[i].default).any():
                 differences = np.abs(value[:, 0] - source_values)
                 target = f"control/{controls[i].name}"
                 self._record_replaced(target, differences, times, WEIGHT_ROUNDING)
-        return _with_joint_rows(channel, rows)
+        return _with_joint_rows(channel, rows_by_control_index)
 
     def _record_replaced(
         self, target: str, differences: FloatArray, times: FloatArray, tolerance: float
     ) -> None:
         """Record the difference between a target's source motion and driven motion."""
         if self.reports_replaced and differences.max(initial=0.0) > tolerance:
-            largest_difference = self._replaced_amounts.setdefault(
+            largest_difference = self._replaced_amount_by_target.setdefault(
                 target, LargestAmount()
             )
             largest_difference.keep_larger(differences, times)
@@ -308,15 +321,15 @@ class _CoordinateReader:
     times: FloatArray
     known_coordinates: Mapping[str, FloatArray]
     # By name, as angles may be unwrapped only once a block.
-    cache: dict[str, FloatArray] = field(default_factory=dict)
+    values_by_coordinate: dict[str, FloatArray] = field(default_factory=dict)
 
     def __call__(self, name: str) -> FloatArray:
-        """Return a coordinate ``(F,)``, or ``(1,)`` of a static joint."""
+        """Return a coordinate's values ``(F,)``, or ``(1,)`` if the joint is static."""
         if name in self.known_coordinates:
             return self.known_coordinates[name]
-        if name not in self.cache:
-            self.cache[name] = self._read_coordinate(name)
-        return self.cache[name]
+        if name not in self.values_by_coordinate:
+            self.values_by_coordinate[name] = self._read_coordinate(name)
+        return self.values_by_coordinate[name]
 
     def _read_coordinate(self, name: str) -> FloatArray:
         """Return a coordinate from the motion's transforms."""
@@ -375,27 +388,31 @@ def _is_posed(channel: Channel, i: int, rest_value: FloatArray) -> bool:
 
 
 def _column_values(channel: Channel, i: int) -> FloatArray:
-    """Return the values ``(F,)`` or ``(1,)`` of a shape or control of a channel."""
+    """Return a shape's or control's values ``(F,)``, or ``(1,)`` if static."""
     return _joint_rows(channel, i)[:, 0]
 
 
-def _with_joint_rows(channel: Channel, rows: Mapping[int, FloatArray]) -> Channel:
-    """Return a channel with values ``(F, K)``, or static ``(1, K)``, of joints set."""
-    if not rows:
+def _with_joint_rows(
+    channel: Channel, rows_by_joint: Mapping[int, FloatArray]
+) -> Channel:
+    """Return the channel with joints set to values ``(F, K)``, or static ``(1, K)``."""
+    if not rows_by_joint:
         return channel
     frame_count = len(channel.values)
-    static_rows = [i for i, values in rows.items() if len(values) == 1 != frame_count]
-    animated_rows = sorted(rows.keys() - static_rows)
+    static_rows = [
+        i for i, values in rows_by_joint.items() if len(values) == 1 != frame_count
+    ]
+    animated_rows = sorted(rows_by_joint.keys() - static_rows)
     rest_values = channel.rest.copy()
     for i in static_rows:
-        rest_values[i] = rows[i][0]
+        rest_values[i] = rows_by_joint[i][0]
     is_animated = ~np.isin(channel.animated, static_rows)
     kept_values = channel.values[:, is_animated]
     result = Channel(rest_values, channel.animated[is_animated], kept_values)
     if not animated_rows:
         return result
     shape = (frame_count, rest_values.shape[1])
-    values = [np.broadcast_to(rows[i], shape) for i in animated_rows]
+    values = [np.broadcast_to(rows_by_joint[i], shape) for i in animated_rows]
     return result.put(np.array(animated_rows, np.int64), np.stack(values, axis=1))
 
 

@@ -101,14 +101,14 @@ def combine_missing_weights(
     """
     from animtool.rig.shapes import combination_order
 
-    shape_indices = {shape.name: i for i, shape in enumerate(shapes)}
+    index_by_shape = {shape.name: i for i, shape in enumerate(shapes)}
     missing_indices, rest = set(missing_shapes.tolist()), weights.rest.copy()
     values_by_shape = {
         int(i): weights.values[:, k] for k, i in enumerate(weights.animated)
     }
     for shape in combination_order(shapes):
-        i = shape_indices[shape.name]
-        driver_indices = [shape_indices[name] for name in shape.combine]
+        i = index_by_shape[shape.name]
+        driver_indices = [index_by_shape[name] for name in shape.combine]
         if i not in missing_indices or not driver_indices:
             continue
         rest[i] = np.prod([rest[k] for k in driver_indices], axis=0)

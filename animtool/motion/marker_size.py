@@ -12,8 +12,8 @@ MIN_SUBJECT_SIZE, MAX_SUBJECT_SIZE = 0.05, 60.0
 # Size of a child, and of a person with raised arms [m].
 PERSON_SIZE = (0.5, 3.0)
 # Ratios of units: m, cm, mm and in.
-_RATIOS = (10.0, 100.0, 1000.0, 39.37)
-UNIT_FACTORS = (*_RATIOS, *(1 / factor for factor in _RATIOS))
+_UNIT_RATIOS = (10.0, 100.0, 1000.0, 39.37)
+UNIT_FACTORS = (*_UNIT_RATIOS, *(1 / factor for factor in _UNIT_RATIOS))
 # Frames sampled, and markers that a frame needs.
 SAMPLED_FRAME_COUNT, MIN_MARKERS = 100, 4
 
@@ -47,7 +47,7 @@ def is_person_size(size: float) -> bool:
 
 
 def rescaled_text(size: float) -> str:
-    """Return text on the factor that gives a size [m] of a person; empty if none.
+    """Return text naming the factor that makes a size [m] a person's; empty if none.
 
     >>> rescaled_text(0.0018), rescaled_text(1e9)
     ('; 1000 times that would be 1.8 m', '')

@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import UpAxis
 
 # Fields of `Markers` with a column for each marker.
-_ARRAYS = ("positions", "cameras", "residuals", "filled")
+_ARRAY_FIELDS = ("positions", "cameras", "residuals", "filled")
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +58,7 @@ class Markers:
     def __post_init__(self) -> None:
         """Check shapes, names and numbers."""
         shape = (self.clock.count, len(self.names))
-        for name in _ARRAYS:
+        for name in _ARRAY_FIELDS:
             values = getattr(self, name)
             expected_shape = (*shape, 3) if name == "positions" else shape
             if values is not None and values.shape != expected_shape:
@@ -114,9 +114,9 @@ class Markers:
         self, function: Callable[[Any], Any], names: tuple[str, ...]
     ) -> Markers:
         """Return markers of other names, with a function applied to every array."""
-        arrays: dict[str, Any] = {
+        array_by_field: dict[str, Any] = {
             name: function(values)
-            for name in _ARRAYS
+            for name in _ARRAY_FIELDS
             if (values := getattr(self, name)) is not None
         }
-        return replace(self, names=names, **arrays)
+        return replace(self, names=names, **array_by_field)

@@ -64,7 +64,7 @@ class Channel:
         return values
 
     def reorder(self, indices: IntArray, rest_values: FloatArray) -> Channel:
-        """Return the channel with the joints of indices; -1 gives the rest value."""
+        """Return the channel with its joints reordered; -1 takes the rest value."""
         is_mapped = indices >= 0
         rest = np.array(rest_values, np.float64)
         rest[is_mapped] = self.rest[indices[is_mapped]]
@@ -147,7 +147,7 @@ rename_attributes(Channel, still="static")
 
 
 def _kernel_arrays(channel: Channel) -> tuple[FloatArray, IntArray, FloatArray]:
-    """Return the kernel arguments of a channel."""
+    """Return the arguments that pass a channel to a kernel: rest, animated, values."""
     rest, values = (np.ascontiguousarray(a) for a in (channel.rest, channel.values))
     return rest, np.asarray(channel.animated, np.int64), values
 
@@ -223,27 +223,29 @@ class Motion:
 
     def map(self, function: Callable[[Channel], Channel]) -> Motion:
         """Apply a function to each channel of the motion that is not None."""
-        channels: dict[str, Any] = {
+        channel_by_field: dict[str, Any] = {
             name: function(channel)
             for name in CHANNELS
             if (channel := getattr(self, name)) is not None
         }
-        points = {name: function(channel) for name, channel in self.points.items()}
-        return Motion(**channels, points=points)
+        points_by_name = {
+            name: function(channel) for name, channel in self.points.items()
+        }
+        return Motion(**channel_by_field, points=points_by_name)
 
     @staticmethod
     def concatenate(blocks: list[Motion]) -> Motion:
         """Concatenate consecutive blocks to one motion."""
-        channels: dict[str, Any] = {
+        channel_by_field: dict[str, Any] = {
             name: Channel.concatenate([getattr(block, name) for block in blocks])
             for name in CHANNELS
             if getattr(blocks[0], name) is not None
         }
-        points = {
+        points_by_name = {
             name: Channel.concatenate([block.points[name] for block in blocks])
             for name in blocks[0].points
         }
-        return Motion(**channels, points=points)
+        return Motion(**channel_by_field, points=points_by_name)
 
 
 # Returns a take's motion at times ``(F,)`` [time codes], in any order.

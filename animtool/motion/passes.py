@@ -402,17 +402,19 @@ def _valid_curves(
     if linear_time is None or source_take.clock == result_take.clock:
         kept_controls = _unchanged_controls(source_take, result_take)
         return {name: curve for name, curve in curves.items() if name in kept_controls}
-    times = linear_time.start, linear_time.ratio, linear_time.first
-    return {name: curve.with_linear_time(*times) for name, curve in curves.items()}
+    time_mapping = linear_time.start, linear_time.ratio, linear_time.first
+    return {
+        name: curve.with_linear_time(*time_mapping) for name, curve in curves.items()
+    }
 
 
 def _have_same_channels(rig: Rig, other_rig: Rig) -> bool:
     """Return whether motions of two rigs have the same joints, shapes and controls."""
-    names, other_names = (
+    part_names, other_part_names = (
         [[part.name for part in parts] for parts in (r.joints, r.shapes, r.controls)]
         for r in (rig, other_rig)
     )
-    return names == other_names
+    return part_names == other_part_names
 
 
 def _check_points(stream: TakeStream, pass_: Pass) -> None:

@@ -39,13 +39,13 @@ def find_shape_faults(
     """Return faults for channels whose shape does not match clock, rig and tracks."""
     frames = clock.count
     joint_count = len(rig.joints)
-    counts = *[joint_count] * 3, len(rig.shapes), len(rig.controls), len(tracks)
+    row_counts = *[joint_count] * 3, len(rig.shapes), len(rig.controls), len(tracks)
     faults = []
     if tracks and motion.track_times is None:
         message = f"track_times are missing of {counted(len(tracks), 'track')}"
         faults.append(Fault("TAKE001", message))
     widths = 3, 4, 3, 1, 1, 1
-    for name, count, width in zip(CHANNELS, counts, widths, strict=True):
+    for name, count, width in zip(CHANNELS, row_counts, widths, strict=True):
         channel: Channel | None = getattr(motion, name)
         if channel is None:
             continue

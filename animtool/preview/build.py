@@ -106,8 +106,8 @@ class PageReport:
     def counts(self) -> dict[str, int]:
         """Number of items of each kind on the page."""
         manifest = self.page.manifest
-        shapes = ("takes", "meshes", "curves3d", "points", "instances")
-        kinds = (*shapes, "cameras", "channels", "findings")
+        drawn_kinds = ("takes", "meshes", "curves3d", "points", "instances")
+        kinds = (*drawn_kinds, "cameras", "channels", "findings")
         return {name: len(manifest[name]) for name in kinds}
 
 
@@ -158,8 +158,8 @@ def make_page(
         draft, notices = _collect_contents(open_files, options)
     if options.findings:
         _add_findings(draft, files)
-    names = [path.name for path in files]
-    return _build_page(draft, names, open_files, notices)
+    file_names = [path.name for path in files]
+    return _build_page(draft, file_names, open_files, notices)
 
 
 def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
@@ -172,12 +172,12 @@ def make_take_page(name: str, stream: TakeStream) -> PreviewPage:
 
 
 def _build_page(
-    draft: PageDraft, names: list[str], files: list[OpenFile], notices: list[Fault]
+    draft: PageDraft, file_names: list[str], files: list[OpenFile], notices: list[Fault]
 ) -> PreviewPage:
     """Return the finished page of a draft; raise an error if it is too large."""
-    title = ", ".join(names)
+    title = ", ".join(file_names)
     source_entry = {
-        "files": names,
+        "files": file_names,
         "unit": files[0].unit,
         "up": str(files[0].up).lower(),
     }
@@ -185,7 +185,7 @@ def _build_page(
         megabytes = draft.packer.total_bytes / 1e6
         message = f"the page would hold {megabytes:.0f} MB of frames"
         raise OptionError(Fault("PRV003", message, hint=FEWER_FRAMES_HINT))
-    manifest, blocks = draft.manifest(
+    manifest, blocks = draft.finish(
         title
         if len(title) <= MAX_TITLE_LENGTH
         else title[: MAX_TITLE_LENGTH - 1] + "…",
@@ -247,7 +247,7 @@ def _collect_contents(
 
 
 def _add_timeline_take(draft: PageDraft, timeline_take: TimelineTake) -> PageTake:
-    """Add a take with its meshes, visibility and curves; return it as stored."""
+    """Add a take on the timeline to a page; return it as stored on the page."""
     first_sample = draft.timeline.index(timeline_take.first_frame)
     page_take = add_take(
         draft,
@@ -355,7 +355,8 @@ def _finding_entry(
     joint = fault.joint
     if joint is None:
         # Rules quote the joints concerned in their messages.
-        quoted_texts = [a or b for a, b in _QUOTED_TEXT_PATTERN.findall(fault.message)]
+        matches = _QUOTED_TEXT_PATTERN.findall(fault.message)
+        quoted_texts = [single or double for single, double in matches]
         joint = next((name for name in quoted_texts if name in set(joint_names)), None)
     hint = f"; {fault.hint}" if fault.hint else ""
     return {

@@ -103,9 +103,11 @@ class PageDraft:
 
     def add_positions(self, positions: Array) -> int:
         """Add a quantized stream of positions ``(F, ...)`` [m]; return its index."""
-        data = quantize_range(positions.reshape(len(positions), -1), column_period=3)
-        self.record_error(position=data.error)
-        return self.packer.add(data)
+        quantized = quantize_range(
+            positions.reshape(len(positions), -1), column_period=3
+        )
+        self.record_error(position=quantized.error)
+        return self.packer.add(quantized)
 
     def add_mask(self, is_visible: BoolArray) -> int | None:
         """Add a visibility mask ``(F,)``; return its stream, None if always visible."""
@@ -148,7 +150,7 @@ class PageDraft:
             }
         )
 
-    def manifest(
+    def finish(
         self, title: str, source: dict[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
         """Close the streams; return the manifest and the data blocks."""

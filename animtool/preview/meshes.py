@@ -26,16 +26,21 @@ MAX_INFLUENCES = 4
 MAX_LOST_WEIGHT = 0.02
 # Frames whose points are in memory at once.
 BLOCK_FRAMES = 64
-PALETTE = ((0.53, 0.56, 0.6), (0.6, 0.5, 0.42), (0.44, 0.55, 0.5), (0.55, 0.48, 0.57))
+MESH_COLORS = (
+    (0.53, 0.56, 0.6),
+    (0.6, 0.5, 0.42),
+    (0.44, 0.55, 0.5),
+    (0.55, 0.48, 0.57),
+)
 STRAND_WIDTH = 0.001
 WEIGHT_TOLERANCE = 1e-4
 
 
 def add_character(draft: PageDraft, character: TakeToShow, page_take: PageTake) -> None:
     """Add the meshes and strands of a take to a page."""
-    names = [shape.name for shape in page_take.rig.shapes]
+    shape_names = [shape.name for shape in page_take.rig.shapes]
     meshes = character_meshes(
-        character.surfaces, page_take.rig.names, character.bind, names
+        character.surfaces, page_take.rig.names, character.bind, shape_names
     )
     visible_weights: list[FloatArray] = []
     shape_labels: list[str] = []
@@ -132,7 +137,7 @@ def mesh_entry(
 
     ``colors``: linear colors of the points ``(V, 3)``; None to use one ``color``.
     """
-    default_color = PALETTE[len(draft.meshes) % len(PALETTE)]
+    default_color = MESH_COLORS[len(draft.meshes) % len(MESH_COLORS)]
     triangles = triangulate(counts, indices)
     return {
         "name": name,
@@ -180,9 +185,11 @@ def _skin_entry(draft: PageDraft, skin: PreparedSkin) -> dict[str, Any]:
         weights, weight_sums, out=np.zeros_like(weights), where=weight_sums > 0
     )
     # Weights are rounded to a sum of 1: the strongest takes the remainder.
-    integers = np.rint(weights * 65535)
-    integers[:, 0] += np.where(weight_sums[:, 0] > 0, 65535 - integers.sum(axis=1), 0)
-    stored_weights = integers.reshape(1, -1).astype("<u2")
+    integer_weights = np.rint(weights * 65535)
+    integer_weights[:, 0] += np.where(
+        weight_sums[:, 0] > 0, 65535 - integer_weights.sum(axis=1), 0
+    )
+    stored_weights = integer_weights.reshape(1, -1).astype("<u2")
     bind = skin.joint_from_world @ skin.world_from_points
     return {
         "palette": skin.joints.tolist(),
@@ -200,7 +207,7 @@ def _shape_entries(
 ) -> list[dict[str, Any]]:
     """Return the manifest entries of shapes, with sparse point offsets."""
     sparse_offsets = shapes.points
-    names = [
+    column_names = [
         name if weight == 1.0 else f"{name} at {weight:g}"
         for name, knots in zip(shapes.names, shapes.knots, strict=True)
         for weight in knots[knots != 0].tolist()
@@ -225,7 +232,7 @@ def _shape_entries(
             offsets = sparse_offsets.offsets[is_in_column]
         entries.append(
             {
-                "name": names[column],
+                "name": column_names[column],
                 "column": first_column + shape_number,
                 "vertices": draft.packer.add_static(vertices, "u32"),
                 "offsets": draft.packer.add_static_range(offsets),

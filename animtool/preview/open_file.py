@@ -159,13 +159,13 @@ def open_file(
         return _open_rig(path)
     if has_kind_suffix(path, "targets"):
         return _open_targets(path, is_only_file=len(all_files) == 1)
-    source = replace(
+    source_options = replace(
         fitting_options(options.source, path, all_files), prim_path=options.prim_path
     )
     if not supports_option(path, "prim_path"):
-        source = replace(source, prim_path=None)
-    if is_marker_file(path) and source.template is None:
-        return _open_markers(path, source)
+        source_options = replace(source_options, prim_path=None)
+    if is_marker_file(path) and source_options.template is None:
+        return _open_markers(path, source_options)
     if is_usd(path):
         readable_path = path
         if options.over:
@@ -173,10 +173,10 @@ def open_file(
                 context.enter_context(tempfile.TemporaryDirectory("animtool"))
             )
             readable_path = _combined_stage(folder, path, options)
-        file = _open_stage(readable_path, path.name, source)
+        file = _open_stage(readable_path, path.name, source_options)
         file.path = path
         return file
-    stream = open_source(path, source)
+    stream = open_source(path, source_options)
     file = OpenFile(path, unit_name(stream.rig.meters_per_unit), stream.rig.up)
     clip = None
     if has_kind_suffix(path, "clip"):
@@ -232,40 +232,44 @@ def _open_targets(path: Path, *, is_only_file: bool) -> OpenFile:
     return file
 
 
-def _open_markers(path: Path, source: SourceOptions) -> OpenFile:
+def _open_markers(path: Path, source_options: SourceOptions) -> OpenFile:
     """Open a file of markers and rotate it to Y up."""
-    markers = open_markers(path, unit=source.unit, up=source.up, fps=source.fps)
+    markers = open_markers(
+        path, unit=source_options.unit, up=source_options.up, fps=source_options.fps
+    )
     file = OpenFile(path, "m", markers.up, markers=markers)
     file.notices += markers.notices
     return file
 
 
-def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
+def _open_stage(path: Path, name: str, source_options: SourceOptions) -> OpenFile:
     """Open a USD file with its characters and its other visible prims."""
     from animtool.usd.caches.shown import open_contents
     from animtool.usd.rigs.mesh_read import read_source_meshes
 
-    contents = open_contents(path, source.prim_path)
+    contents = open_contents(path, source_options.prim_path)
     file = OpenFile(path, contents.unit, contents.up, contents=contents)
     characters = open_characters(path)
-    root_path = source.prim_path
+    root_path = source_options.prim_path
     selected_skeletons = [
         prim
         for prim in characters
         if root_path is None or f"{prim}/".startswith(f"{root_path.rstrip('/')}/")
     ]
     if len(selected_skeletons) <= 1 and (selected_skeletons or contents.is_animation()):
-        streams = {
+        stream_by_prim = {
             selected_skeletons[0] if selected_skeletons else "": open_source(
-                path, source
+                path, source_options
             )
         }
-        if source.take is None:
-            file.notices += _other_takes(path, next(iter(streams.values())))
+        if source_options.take is None:
+            file.notices += _other_takes(path, next(iter(stream_by_prim.values())))
     else:
-        streams = _read_characters(file, {p: characters[p] for p in selected_skeletons})
-    for prim, stream in streams.items():
-        label = source_stem(Path(name)) if len(streams) == 1 else prim
+        stream_by_prim = _read_characters(
+            file, {p: characters[p] for p in selected_skeletons}
+        )
+    for prim, stream in stream_by_prim.items():
+        label = source_stem(Path(name)) if len(stream_by_prim) == 1 else prim
         stream_y_up = reorient(stream, UpAxis.Y)
         if not prim:
             file.takes.append(
@@ -296,31 +300,31 @@ def _open_stage(path: Path, name: str, source: SourceOptions) -> OpenFile:
 
 
 def _read_characters(
-    file: OpenFile, characters: Mapping[str, Callable[[], TakeStream]]
+    file: OpenFile, reader_by_prim: Mapping[str, Callable[[], TakeStream]]
 ) -> dict[str, TakeStream]:
     """Return the takes of all valid characters; report malformed characters."""
-    streams: dict[str, TakeStream] = {}
+    stream_by_prim: dict[str, TakeStream] = {}
     format_errors: list[FormatError] = []
-    for prim, read_stream in characters.items():
+    for prim, read_stream in reader_by_prim.items():
         try:
-            streams[prim] = read_stream()
+            stream_by_prim[prim] = read_stream()
         except FormatError as error:
             format_errors.append(error)
-    if format_errors and not streams:
+    if format_errors and not stream_by_prim:
         raise format_errors[0]
     faults = [fault for error in format_errors for fault in error.faults]
     file.notices += [replace(f, severity=Severity.WARNING) for f in faults]
-    return streams
+    return stream_by_prim
 
 
 def _other_takes(path: Path, stream: TakeStream) -> list[Fault]:
     """Return a notice about the takes of a clip library that are not shown."""
-    names = stream.details.get("takes")
-    if not isinstance(names, list) or len(names) < 2:
+    take_names = stream.details.get("takes")
+    if not isinstance(take_names, list) or len(take_names) < 2:
         return []
     shown_name = stream.details.get("take")
-    message = f"showing take {shown_name!r} of {counted(len(names), 'take')}"
-    hint = f"show another with {argument('source.take')}: {listed(names)}"
+    message = f"showing take {shown_name!r} of {counted(len(take_names), 'take')}"
+    hint = f"show another with {argument('source.take')}: {listed(take_names)}"
     return [Fault("PRV101", message, str(path), (), hint, Severity.NOTE)]
 
 
@@ -351,30 +355,34 @@ def _open_scene(path: Path, options: PreviewOptions, context: ExitStack) -> Open
 
     scene = load_scene(path, dict(options.variables))
     if scene.extra_outputs:
-        names = sorted({extra_output.name for extra_output in scene.extra_outputs})
-        message = f"saves {', '.join(names)}"
+        output_names = sorted(
+            {extra_output.name for extra_output in scene.extra_outputs}
+        )
+        message = f"saves {', '.join(output_names)}"
         hint = "bake it, and preview its output"
         raise OptionError(Fault("PRV004", message, str(path), (), hint))
     output = scene_to_show(scene).outputs[0]
     bake = output.bake
     folder = Path(context.enter_context(tempfile.TemporaryDirectory("animtool")))
-    layer = folder / f"{source_stem(path)}.usdc"
-    joints_layer = folder / "bones" / layer.name
-    outputs = [replace(output, path=layer, bake=bake)]
+    layer_path = folder / f"{source_stem(path)}.usdc"
+    joints_layer_path = folder / "bones" / layer_path.name
+    outputs = [replace(output, path=layer_path, bake=bake)]
     if bake.deform and scene.sources:
-        joints_layer.parent.mkdir()
+        joints_layer_path.parent.mkdir()
         joints_bake = replace(bake, deform=False)
-        outputs.append(replace(output, path=joints_layer, bake=joints_bake, systems=()))
+        outputs.append(
+            replace(output, path=joints_layer_path, bake=joints_bake, systems=())
+        )
     reports = bake_outputs(replace(scene, outputs=tuple(outputs)))
-    stage_path = layer
+    stage_path = layer_path
     if bake.rig_layer is not None or options.over:
         rig_layers = [] if bake.rig_layer is None else [bake.rig_layer]
-        stage_path = _combined_stage(folder, layer, options, rig_layers)
+        stage_path = _combined_stage(folder, layer_path, options, rig_layers)
     file = _open_stage(stage_path, path.name, SourceOptions())
     file.path, file.folder = path, folder
     if len(outputs) > 1:
         # Meshes are shown as point caches, since their skeleton is in a separate layer.
-        joint_takes = _open_stage(joints_layer, path.name, SourceOptions()).takes
+        joint_takes = _open_stage(joints_layer_path, path.name, SourceOptions()).takes
         file.takes += [
             replace(take, surfaces=(), strands=(), prim="") for take in joint_takes
         ]

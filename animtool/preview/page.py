@@ -101,9 +101,9 @@ def page_parts(
     for template_part in re.split(r"(\{\{\w+\}\})", template):
         name = template_part.strip("{}")
         if template_part == "{{blocks}}":
-            for number, block in enumerate(blocks):
+            for block_index, block in enumerate(blocks):
                 yield (
-                    f'<script type="text/plain" class="block" id="b{number}">'
+                    f'<script type="text/plain" class="block" id="b{block_index}">'
                     f"{block}</script>\n"
                 ).encode()
         elif template_part.startswith("{{") and name in insertions:
@@ -116,19 +116,19 @@ def page_parts(
 def viewer_modules() -> dict[str, str]:
     """Return the viewer's modules by name, in import order."""
     paths = sorted(VIEWER_FOLDER.glob("*.js"))
-    texts = {path.name: compact_code(path.read_text("utf-8")) for path in paths}
-    modules: dict[str, str] = {}
+    code_by_file = {path.name: compact_code(path.read_text("utf-8")) for path in paths}
+    module_by_name: dict[str, str] = {}
 
     def add(name: str, importers: tuple[str, ...] = ()) -> None:
         """Append a module after all the modules that it imports."""
-        if name in modules or name in importers or name not in texts:
+        if name in module_by_name or name in importers or name not in code_by_file:
             return
-        for match in _IMPORT_PATTERN.finditer(texts[name]):
+        for match in _IMPORT_PATTERN.finditer(code_by_file[name]):
             add(match[3], (*importers, name))
-        modules[name] = texts[name]
+        module_by_name[name] = code_by_file[name]
 
     add(ENTRY_MODULE)
-    return modules
+    return module_by_name
 
 
 def compact_code(text: str) -> str:

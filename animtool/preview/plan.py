@@ -41,11 +41,14 @@ def page_steps(
                 steps += _bake_steps(path, options)
             else:
                 steps.append(_read_step(open_file(path, options, files, context)))
-    reads = tuple(str(path) for path in files)
+    read_paths = tuple(str(path) for path in files)
     omissions = () if options.findings else ("findings: not requested (findings)",)
     outputs = ("a page" if output is None else str(output),)
-    name = "a temporary file" if output is None else output.name
-    return [*steps, PlanStep(StepKind.OUTPUT, name, "", reads, outputs, omissions)]
+    output_name = "a temporary file" if output is None else output.name
+    return [
+        *steps,
+        PlanStep(StepKind.OUTPUT, output_name, "", read_paths, outputs, omissions),
+    ]
 
 
 def _bake_steps(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
@@ -75,25 +78,27 @@ def _content_texts(file: OpenFile) -> Iterator[str]:
         yield text if count == 1 else f"{count} times {text}"
     contents = file.contents
     if contents is not None:
-        counts = Counter(prim.kind for prim in contents.prims)
+        count_by_kind = Counter(prim.kind for prim in contents.prims)
         yield from (
-            counted(counts[k], *words) for k, words in _KIND_NOUNS.items() if counts[k]
+            counted(count_by_kind[k], *words)
+            for k, words in _KIND_NOUNS.items()
+            if count_by_kind[k]
         )
         if cameras := contents.cameras():
             yield counted(len(cameras), "camera")
     if file.markers is not None:
-        frames = counted(file.markers.clock.count, "frame")
-        yield f"{counted(len(file.markers.names), 'marker')}, {frames}"
+        frames_text = counted(file.markers.clock.count, "frame")
+        yield f"{counted(len(file.markers.names), 'marker')}, {frames_text}"
     if file.targets is not None:
-        frames = counted(file.targets.clock.count, "frame")
-        yield f"{counted(len(file.targets.goals), 'target')}, {frames}"
+        frames_text = counted(file.targets.clock.count, "frame")
+        yield f"{counted(len(file.targets.goals), 'target')}, {frames_text}"
 
 
 def _describe_take(take: TakeToShow) -> str:
     """Return a take's joints, frames and meshes as text."""
     stream = take.stream
-    frames = counted(sum(block.frames for block in stream.blocks), "frame")
-    meshes = counted(len(take.surfaces), "mesh", "meshes")
-    joints = counted(len(stream.rig.joints), "joint")
-    texts = [f"take of {joints}", f"{frames} at {rate_label(stream.fps)}"]
-    return " and ".join([", ".join(texts), *([meshes] if take.surfaces else [])])
+    frames_text = counted(sum(block.frames for block in stream.blocks), "frame")
+    meshes_text = counted(len(take.surfaces), "mesh", "meshes")
+    joints_text = counted(len(stream.rig.joints), "joint")
+    texts = [f"take of {joints_text}", f"{frames_text} at {rate_label(stream.fps)}"]
+    return " and ".join([", ".join(texts), *([meshes_text] if take.surfaces else [])])

@@ -40,7 +40,7 @@ class WatchedPage:
     page: PreviewPage | None = None
     version: int = 0
     error: str | None = None
-    _input_states: dict[Path, FileState | None] = field(default_factory=dict)
+    _state_by_input: dict[Path, FileState | None] = field(default_factory=dict)
     _body: bytes = b""
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
@@ -67,13 +67,13 @@ class WatchedPage:
     def _record_states(self, inputs: RecordedInputs, *, keep_previous: bool) -> None:
         """Record the state that each input file had when it was read."""
         if not keep_previous:
-            self._input_states.clear()
+            self._state_by_input.clear()
         else:
-            self._input_states = {
-                path: FileState.of(path) for path in self._input_states
+            self._state_by_input = {
+                path: FileState.of(path) for path in self._state_by_input
             }
         # Files of a scene's temporary bake no longer exist.
-        self._input_states |= {
+        self._state_by_input |= {
             path: state
             for path, state in inputs.states.items()
             if state is None or path.exists()
@@ -83,7 +83,7 @@ class WatchedPage:
         """Return whether any input file changed since it was read."""
         return any(
             FileState.of(path) != previous_state
-            for path, previous_state in self._input_states.items()
+            for path, previous_state in self._state_by_input.items()
         )
 
     def response_body(self) -> bytes:
@@ -94,8 +94,8 @@ class WatchedPage:
     def polled_state(self) -> bytes:
         """Return the version of the page and the last error as JSON."""
         with self._lock:
-            values = {"version": self.version, "error": self.error}
-        return json.dumps(values).encode()
+            state = {"version": self.version, "error": self.error}
+        return json.dumps(state).encode()
 
 
 class _Handler(BaseHTTPRequestHandler):

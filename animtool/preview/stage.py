@@ -75,8 +75,8 @@ def _add_rigid(
     draft: PageDraft, prim: VisiblePrim, mesh: VisibleMesh, codes: FloatArray
 ) -> None:
     """Add a mesh that only moves rigidly, as an instanced mesh with one instance."""
-    times = codes if prim.is_moving else codes[:1]
-    matrices = np.stack([prim.world(code) for code in times.tolist()])
+    sampled_codes = codes if prim.is_moving else codes[:1]
+    matrices = np.stack([prim.world(code) for code in sampled_codes.tolist()])
     if not np.isfinite(matrices).all():
         draft.add_notice(
             f"{prim.name!r} has a transform that is not finite: it is not drawn"
@@ -163,7 +163,7 @@ def _add_curves(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
         _add_points(draft, prim, codes)
         return
     counts = prim.curve_counts()
-    times = codes if prim.is_animated else codes[:1]
+    sampled_codes = codes if prim.is_animated else codes[:1]
     point_count = len(prim.points(float(codes[0])))
     if not point_count or counts.sum() != point_count:
         return
@@ -175,7 +175,7 @@ def _add_curves(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
             "joint": None,
             "bind": None,
             "counts": draft.packer.add_static(counts, "u32"),
-            "points": _point_stream(draft, prim, times, point_count),
+            "points": _point_stream(draft, prim, sampled_codes, point_count),
             "width": _finite_mean(widths),
             "color": None if prim.color is None else list(prim.color),
         }
@@ -184,16 +184,20 @@ def _add_curves(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
 
 def _add_points(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
     """Add points with widths and colors; each point keeps its slot."""
-    times = (codes if prim.is_animated else codes[:1]).tolist()
+    sampled_codes = (codes if prim.is_animated else codes[:1]).tolist()
     slots = PointSlots()
     slotted_points = [
-        (slots.assign(prim.ids(t), p := prim.points(t)), p) for t in times
+        (slots.assign(prim.ids(t), p := prim.points(t)), p) for t in sampled_codes
     ]
     if not slots.count:
         return
     positions = _spread_to_slots(slotted_points, slots.count)
-    widths = _slot_values(slotted_points, [prim.widths(t) for t in times], slots.count)
-    colors = _slot_values(slotted_points, [prim.colors(t) for t in times], slots.count)
+    widths = _slot_values(
+        slotted_points, [prim.widths(t) for t in sampled_codes], slots.count
+    )
+    colors = _slot_values(
+        slotted_points, [prim.colors(t) for t in sampled_codes], slots.count
+    )
     draft.add_points(
         prim.name,
         draft.add_positions(positions),
@@ -219,7 +223,7 @@ class PointSlots:
 
     def __init__(self) -> None:
         self.count = 0
-        self._slot_of_id: dict[int, int] = {}
+        self._slot_by_id: dict[int, int] = {}
 
     def assign(self, ids: IntArray | None, points: FloatArray) -> IntArray:
         """Return the slot of each point of a frame ``(N,)``, adding new points."""
@@ -228,22 +232,24 @@ class PointSlots:
             if ids is None or len(ids) != len(points)
             else ids.tolist()
         )
-        previous_slots, self._slot_of_id = self._slot_of_id, {}
-        reused_slots = {
-            point_id: previous_slots[point_id]
+        previous_slot_by_id, self._slot_by_id = self._slot_by_id, {}
+        reused_slot_by_id = {
+            point_id: previous_slot_by_id[point_id]
             for point_id in point_ids
-            if point_id in previous_slots
+            if point_id in previous_slot_by_id
         }
-        used_slots = set(reused_slots.values())
+        used_slots = set(reused_slot_by_id.values())
         free_slots = (
             slot for slot in range(self.count + len(points)) if slot not in used_slots
         )
         for point_id in point_ids:
-            self._slot_of_id[point_id] = (
-                reused_slots[point_id] if point_id in reused_slots else next(free_slots)
+            self._slot_by_id[point_id] = (
+                reused_slot_by_id[point_id]
+                if point_id in reused_slot_by_id
+                else next(free_slots)
             )
         slots = np.array(
-            [self._slot_of_id[point_id] for point_id in point_ids], np.int64
+            [self._slot_by_id[point_id] for point_id in point_ids], np.int64
         )
         self.count = max(self.count, int(slots.max(initial=-1)) + 1)
         return slots
@@ -254,8 +260,10 @@ def _spread_to_slots(
 ) -> FloatArray:
     """Return positions arranged by slot ``(F, 3 S)``, with NaN in empty slots."""
     slot_positions = np.full((len(slotted_points), count, 3), np.nan)
-    for frame, (slots, points) in zip(slot_positions, slotted_points, strict=True):
-        frame[slots] = points
+    for frame_positions, (slots, points) in zip(
+        slot_positions, slotted_points, strict=True
+    ):
+        frame_positions[slots] = points
     return slot_positions.reshape(len(slotted_points), -1)
 
 
@@ -280,11 +288,13 @@ def _slot_values(
 def _add_instances(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> None:
     """Add the instances of a point instancer, one mesh per prototype."""
     prototypes = prim.prototypes()
-    times = (codes if prim.is_animated else codes[:1]).tolist()
-    samples = [prim.instances(code) for code in times]
+    sampled_codes = (codes if prim.is_animated else codes[:1]).tolist()
+    instance_samples = [prim.instances(code) for code in sampled_codes]
     slots = PointSlots()
-    sample_slots = [slots.assign(sample.ids, sample.points) for sample in samples]
-    instances = _SlotInstances(samples, sample_slots, slots.count)
+    sample_slots = [
+        slots.assign(sample.ids, sample.points) for sample in instance_samples
+    ]
+    instances = _SlotInstances(instance_samples, sample_slots, slots.count)
     for k, meshes in enumerate(prototypes):
         # A slot shows the mesh of its point, which may change over frames.
         uses_prototype = instances.prototype_indices == k
@@ -309,8 +319,8 @@ def _add_instances(draft: PageDraft, prim: VisiblePrim, codes: FloatArray) -> No
             )
             is_visible = uses_prototype[:, used_slots]
             if not is_visible.all():
-                data = QuantizedValues(is_visible.astype("<u1"), "u8")
-                entry["visible"] = draft.packer.add(data)
+                quantized = QuantizedValues(is_visible.astype("<u1"), "u8")
+                entry["visible"] = draft.packer.add(quantized)
 
 
 class _SlotInstances:
@@ -345,15 +355,15 @@ def _add_cameras(draft: PageDraft, contents: StageContents, codes: FloatArray) -
 
 def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
     """Add a camera to a page, sampled at track times for each frame ``(F,)``."""
-    names = [attribute.name for attribute in track.attributes]
+    attribute_names = [attribute.name for attribute in track.attributes]
     camera_samples = track.at(times if track.is_animated else times[:1])
     # Lenses are in tenths of a stage unit, which is metres here.
-    lens_values = {
-        name: camera_samples.values[names.index(name)] * 100
+    lens_values_by_name = {
+        name: camera_samples.values[attribute_names.index(name)] * 100
         for name in ("focalLength", "horizontalAperture", "verticalAperture")
-        if name in names
+        if name in attribute_names
     }
-    focal = lens_values.get("focalLength", np.full((1, 1), 50.0))
+    focal_lengths = lens_values_by_name.get("focalLength", np.full((1, 1), 50.0))
     rotations = quantize_units(camera_samples.rotations)
     positions = quantize_range(camera_samples.translations)
     draft.record_error(position=positions.error, rotation=2 * rotations.error)
@@ -362,13 +372,15 @@ def add_camera(draft: PageDraft, track: Track, times: FloatArray) -> None:
             "name": track.path,
             "t": draft.packer.add(positions),
             "r": draft.packer.add(rotations),
-            "focal_mm": float(focal[0, 0]),
+            "focal_mm": float(focal_lengths[0, 0]),
             "focal": None
-            if np.ptp(focal) == 0
-            else draft.packer.add(QuantizedValues(focal.astype("<f4"), "f32")),
+            if np.ptp(focal_lengths) == 0
+            else draft.packer.add(QuantizedValues(focal_lengths.astype("<f4"), "f32")),
             "aperture_mm": [
-                float(lens_values[name][0, 0]) if name in lens_values else default
-                for name, default in (
+                float(lens_values_by_name[name][0, 0])
+                if name in lens_values_by_name
+                else default_aperture
+                for name, default_aperture in (
                     ("horizontalAperture", 20.955),
                     ("verticalAperture", 15.2908),
                 )

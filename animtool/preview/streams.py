@@ -35,7 +35,7 @@ DTYPES = {"u8": "<u1", "i16": "<i2", "u16": "<u2", "f32": "<f4", "u32": "<u4"}
 
 @dataclass(frozen=True, slots=True)
 class QuantizedValues:
-    """QuantizedValues values with their scale, offset and largest error.
+    """Quantized values with their scale, offset and largest error.
 
     Attributes:
         stored_values: Integers or floats ``(F, width)`` of the type ``kind``.
@@ -103,9 +103,13 @@ def quantize_range(
         )
     offset = (high + low) / 2
     divisor = np.where(scale > 0, scale, 1.0)
-    steps = np.rint((rows - offset) / divisor)
-    integers = np.where(np.isnan(steps), STORED_NAN, steps).astype("<i2")
-    error = _largest_difference(offset + scale * steps - values.reshape(rows.shape))
+    quantized_rows = np.rint((rows - offset) / divisor)
+    integers = np.where(np.isnan(quantized_rows), STORED_NAN, quantized_rows).astype(
+        "<i2"
+    )
+    error = _largest_difference(
+        offset + scale * quantized_rows - values.reshape(rows.shape)
+    )
     if width > 1 and not column_period and not np.ptp(scale) and not np.ptp(offset):
         scale, offset = scale[:1], offset[:1]
     integers = integers.reshape(values.shape)
@@ -163,21 +167,21 @@ class StreamPacker:
 
     def __init__(self) -> None:
         self._streams: list[_Stream] = []
-        self._static: dict[tuple[object, ...], int] = {}
+        self._static_indices: dict[tuple[object, ...], int] = {}
 
     def add(self, quantized: QuantizedValues) -> int:
         """Add a stream and return its index; equal one-sample streams share one."""
         index = len(self._streams)
         if len(quantized.stored_values) == 1:
             digest = hashlib.blake2b(quantized.stored_values.tobytes()).digest()
-            key = (
+            static_key = (
                 digest,
                 quantized.kind,
                 str(quantized.scale),
                 str(quantized.offset),
                 quantized.has_gaps,
             )
-            index = self._static.setdefault(key, index)
+            index = self._static_indices.setdefault(static_key, index)
             if index < len(self._streams):
                 return index
         self._streams.append(_Stream(index, quantized))
@@ -190,8 +194,10 @@ class StreamPacker:
 
     def add_static_range(self, values: FloatArray) -> int:
         """Add a one-sample stream of positions or offsets [m]; return its index."""
-        data = quantize_range(np.reshape(values, (-1, 3)), column_period=3)
-        return self.add(replace(data, stored_values=data.stored_values.reshape(1, -1)))
+        quantized = quantize_range(np.reshape(values, (-1, 3)), column_period=3)
+        return self.add(
+            replace(quantized, stored_values=quantized.stored_values.reshape(1, -1))
+        )
 
     @property
     def total_bytes(self) -> int:
@@ -204,15 +210,17 @@ class StreamPacker:
         for group, samples_per_block in self._groups():
             count = len(group[0].quantized.stored_values)
             for first in range(0, count, samples_per_block):
-                frames = slice(first, min(first + samples_per_block, count))
+                sample_slice = slice(first, min(first + samples_per_block, count))
                 encoded_streams = [
                     _encoded_samples(
-                        s.quantized.stored_values[frames], s.quantized.kind
+                        s.quantized.stored_values[sample_slice], s.quantized.kind
                     )
                     for s in group
                 ]
                 for stream in group:
-                    stream.blocks.append([len(blocks), first, frames.stop - first])
+                    stream.blocks.append(
+                        [len(blocks), first, sample_slice.stop - first]
+                    )
                 blocks.append(deflate_base64(encoded_streams))
         return [stream.manifest_entry() for stream in self._streams], blocks
 
@@ -269,8 +277,8 @@ def _encoded_samples(stored_values: Array, kind: str) -> bytes:
         unsigned_columns = columns.view(f"<u{item_bytes}")
         columns = unsigned_columns.copy()
         columns[:, 1:] -= unsigned_columns[:, :-1]
-    planes = columns.view(np.uint8).reshape(*columns.shape, item_bytes)
-    return np.ascontiguousarray(planes.swapaxes(1, 2)).tobytes()
+    byte_planes = columns.view(np.uint8).reshape(*columns.shape, item_bytes)
+    return np.ascontiguousarray(byte_planes.swapaxes(1, 2)).tobytes()
 
 
 def deflate_base64(chunks: Sequence[bytes]) -> str:

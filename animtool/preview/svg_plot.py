@@ -39,24 +39,26 @@ def plot_svg(panel: Panel) -> str:
         return "".join(elements)
     all_points = [point for _, points in curves for point in points]
     floor_errors = [panel.floor] if panel.floor > 0 else []
-    x = _LogAxis.from_values(
+    x_axis = _LogAxis.from_values(
         [point.cost for point in all_points], LEFT_MARGIN, WIDTH - RIGHT_MARGIN
     )
-    y = _LogAxis.from_values(
+    y_axis = _LogAxis.from_values(
         [p.error for p in all_points] + floor_errors, HEIGHT - BOTTOM_MARGIN, TOP_MARGIN
     )
-    elements += _grid_lines(x, y, panel)
+    elements += _grid_lines(x_axis, y_axis, panel)
     if floor_errors:
         elements.append(
-            f'<path class="floor" d="M{LEFT_MARGIN} {y(panel.floor):.1f}'
+            f'<path class="floor" d="M{LEFT_MARGIN} {y_axis(panel.floor):.1f}'
             f'H{WIDTH - RIGHT_MARGIN}"/>'
         )
     pareto_front = sorted((p.cost, p.error) for p in all_points if p.is_best)
     if len(pareto_front) > 1:
-        path = "L".join(f"{x(cost):.1f} {y(error):.1f}" for cost, error in pareto_front)
-        elements.append(f'<path class="front" d="M{path}"/>')
+        path_data = "L".join(
+            f"{x_axis(cost):.1f} {y_axis(error):.1f}" for cost, error in pareto_front
+        )
+        elements.append(f'<path class="front" d="M{path_data}"/>')
     for i, (name, points) in enumerate(curves):
-        elements += _curve_elements(i, name, points, x, y)
+        elements += _curve_elements(i, name, points, x_axis, y_axis)
     return "".join([*elements, "</svg>"])
 
 
@@ -101,15 +103,15 @@ class _LogAxis:
         return [v for v in values if self.low <= math.log10(v) <= self.high]
 
 
-def _grid_lines(x: _LogAxis, y: _LogAxis, panel: Panel) -> Iterator[str]:
+def _grid_lines(x_axis: _LogAxis, y_axis: _LogAxis, panel: Panel) -> Iterator[str]:
     """Yield grid lines, tick labels and axis labels."""
     bottom, right = HEIGHT - BOTTOM_MARGIN, WIDTH - RIGHT_MARGIN
-    for value in x.ticks():
-        position = x(value)
+    for value in x_axis.ticks():
+        position = x_axis(value)
         yield f'<path class="grid" d="M{position:.1f} {TOP_MARGIN}V{bottom}"/>'
         yield f'<text x="{position:.1f}" y="{bottom + 16}" class="mid">{value:g}</text>'
-    for value in y.ticks():
-        position = y(value)
+    for value in y_axis.ticks():
+        position = y_axis(value)
         yield f'<path class="grid" d="M{LEFT_MARGIN} {position:.1f}H{right}"/>'
         yield f'<text x="{LEFT_MARGIN - 6}" y="{position + 4:.1f}" class="end">'
         yield f"{value:g}</text>"
@@ -122,26 +124,30 @@ def _grid_lines(x: _LogAxis, y: _LogAxis, panel: Panel) -> Iterator[str]:
 
 
 def _curve_elements(
-    i: int, name: str, points: Sequence[PrecisionPoint], x: _LogAxis, y: _LogAxis
+    curve_index: int,
+    name: str,
+    points: Sequence[PrecisionPoint],
+    x_axis: _LogAxis,
+    y_axis: _LogAxis,
 ) -> Iterator[str]:
     """Yield the line, the markers and the legend entry of a method."""
-    colour = COLOURS[i % len(COLOURS)]
-    dash = DASH_PATTERNS[i // len(COLOURS) % len(DASH_PATTERNS)]
+    colour = COLOURS[curve_index % len(COLOURS)]
+    dash = DASH_PATTERNS[curve_index // len(COLOURS) % len(DASH_PATTERNS)]
     style = f'stroke="{colour}"' + (f' stroke-dasharray="{dash}"' if dash else "")
-    path = "L".join(f"{x(p.cost):.1f} {y(p.error):.1f}" for p in points)
-    yield f'<path class="curve" {style} d="M{path}"/>'
+    path_data = "L".join(f"{x_axis(p.cost):.1f} {y_axis(p.error):.1f}" for p in points)
+    yield f'<path class="curve" {style} d="M{path_data}"/>'
     for p in points:
-        cx, cy = f"{x(p.cost):.1f}", f"{y(p.error):.1f}"
+        cx, cy = f"{x_axis(p.cost):.1f}", f"{y_axis(p.error):.1f}"
         fill = f'fill="{colour}"' if p.is_best else 'fill="none"'
         size = 4.5 if p.is_best else 3
         yield f'<circle cx="{cx}" cy="{cy}" r="{size}" stroke="{colour}" {fill}/>'
         if p.is_current:
             yield f'<circle cx="{cx}" cy="{cy}" r="9" class="ring"/>'
         if p.is_recommended:
-            left, top = x(p.cost) - 9, y(p.error) - 9
+            left, top = x_axis(p.cost) - 9, y_axis(p.error) - 9
             yield f'<rect x="{left:.1f}" y="{top:.1f}" width="18" height="18" '
             yield 'class="ring"/>'
-    top = TOP_MARGIN + 10 + 16 * i
+    top = TOP_MARGIN + 10 + 16 * curve_index
     left = WIDTH - RIGHT_MARGIN + 14
     yield f'<path class="curve" {style} d="M{left} {top - 4}h22"/>'
     yield f'<text x="{left + 28}" y="{top}">{html.escape(name)}</text>'

@@ -84,17 +84,19 @@ class BufferedMotion:
     def __init__(self, blocks: Iterator[Motion], meters_per_unit: float) -> None:
         """Read all blocks of a motion; ``meters_per_unit`` is that of its rig."""
         self._meters_per_unit = meters_per_unit
-        self._first_channels: dict[str, Channel] = {}
-        self._value_blocks: dict[str, list[Float32Array]] = {}
+        self._first_channel_by_name: dict[str, Channel] = {}
+        self._value_blocks_by_name: dict[str, list[Float32Array]] = {}
         self.frames = 0
         for block in blocks:
             self.frames += block.frames
             for name in ("translations", "rotations", "scales", "weights", "controls"):
                 channel: Channel | None = getattr(block, name)
                 if channel is not None:
-                    self._first_channels.setdefault(name, channel)
-                    rows = self._round_like_layer(name, channel.values)
-                    self._value_blocks.setdefault(name, []).append(rows)
+                    self._first_channel_by_name.setdefault(name, channel)
+                    rounded_values = self._round_like_layer(name, channel.values)
+                    self._value_blocks_by_name.setdefault(name, []).append(
+                        rounded_values
+                    )
 
     def _round_like_layer(self, name: str, values: FloatArray) -> Float32Array:
         """Return values rounded as a written USD layer would store them."""
@@ -116,11 +118,11 @@ class BufferedMotion:
 
     def pop_track(self, name: str) -> QuantizedTrack | None:
         """Remove and return a channel; joints with constant values are not animated."""
-        if name not in self._first_channels:
+        if name not in self._first_channel_by_name:
             return None
         channel, values = (
-            self._first_channels[name],
-            np.concatenate(self._value_blocks.pop(name)),
+            self._first_channel_by_name[name],
+            np.concatenate(self._value_blocks_by_name.pop(name)),
         )
         static_values = self._round_like_layer(name, channel.rest).astype(np.float64)
         is_animated = np.zeros(len(channel.animated), bool)
@@ -155,7 +157,7 @@ def add_take(
     """
     rig = stream.rig
     translations, rotations = (
-        motion.pop_track(name) or _constant_channel(rest)
+        motion.pop_track(name) or _constant_track(rest)
         for name, rest in (
             ("translations", rig.rest_translations),
             ("rotations", rig.rest_rotations),
@@ -165,10 +167,10 @@ def add_take(
     scales = motion.pop_track("scales")
     tracks_by_component = {"t": translations, "r": rotations, "s": scales}
     quantized_by_component = {
-        component: _store_track(component, track)
+        component: _quantize_track(component, track)
         for component, track in tracks_by_component.items()
     }
-    decoded_tracks = {
+    decoded_by_component = {
         component: None
         if track is None
         else _decoded_track(track, quantized_by_component[component])
@@ -176,7 +178,8 @@ def add_take(
     }
 
     def world(
-        frame_slice: slice, tracks: dict[str, QuantizedTrack | None] = decoded_tracks
+        frame_slice: slice,
+        tracks: dict[str, QuantizedTrack | None] = decoded_by_component,
     ) -> WorldTransforms:
         """Return the joint transforms of a range of frames from stored tracks."""
         translations_, rotations_, scales_ = (
@@ -189,7 +192,7 @@ def add_take(
             rig, translations_, so3.normalize(rotations_), scales_
         )
 
-    contacts = _measure_error(
+    contacts = _measure_errors_and_contacts(
         draft, rig, motion.frames, world, tracks_by_component, stream
     )
     entry = {
@@ -226,7 +229,7 @@ def add_take(
     )
 
 
-def _constant_channel(rest: FloatArray) -> QuantizedTrack:
+def _constant_track(rest: FloatArray) -> QuantizedTrack:
     """Return a track in which no joint is animated."""
     no_values = np.zeros((0, 0, rest.shape[1]), np.float32)
     return QuantizedTrack(rest, np.zeros(0, np.int64), no_values)
@@ -244,7 +247,7 @@ def _with_positive_w(track: QuantizedTrack) -> QuantizedTrack:
     return QuantizedTrack(static_values, track.animated_joints, values)
 
 
-def _store_track(
+def _quantize_track(
     component: str, track: QuantizedTrack | None
 ) -> QuantizedValues | None:
     """Return the quantized values of a component; None if no joint is animated."""
@@ -284,7 +287,7 @@ def _skeleton_entry(rig: Rig) -> dict[str, Any]:
         "rest": {
             "t": json_numbers(rig.rest_translations),
             "r": json_numbers(
-                _with_positive_w(_constant_channel(rig.rest_rotations)).static_values
+                _with_positive_w(_constant_track(rig.rest_rotations)).static_values
             ),
             "s": None,
         },
@@ -296,29 +299,29 @@ def _skeleton_entry(rig: Rig) -> dict[str, Any]:
     }
 
 
-def _measure_error(
+def _measure_errors_and_contacts(
     draft: PageDraft,
     rig: Rig,
     frame_count: int,
     world: Callable[..., WorldTransforms],
-    exact_tracks: dict[str, QuantizedTrack | None],
+    exact_by_component: dict[str, QuantizedTrack | None],
     stream: TakeStream,
 ) -> list[tuple[int, Any]]:
     """Record the quantization error of a take; return its foot contacts."""
     if not rig.joints or not frame_count:
         return []
-    skeleton, legs = _roles_and_legs(draft, rig)
-    foot_joints = sorted({j for leg in legs.values() for j in leg[2:] if j >= 0})
+    skeleton, leg_by_side = _roles_and_legs(draft, rig)
+    foot_joints = sorted({j for leg in leg_by_side.values() for j in leg[2:] if j >= 0})
     foot_positions = []
     for begin in range(0, frame_count, BLOCK_FRAMES):
         block = slice(begin, min(begin + BLOCK_FRAMES, frame_count))
-        stored_world, exact_world = world(block), world(block, exact_tracks)
-        offsets = np.linalg.norm(
+        stored_world, exact_world = world(block), world(block, exact_by_component)
+        position_errors = np.linalg.norm(
             stored_world.positions - exact_world.positions, axis=-1
         )
-        draft.record_error(position=float(offsets.max(initial=0.0)))
+        draft.record_error(position=float(position_errors.max(initial=0.0)))
         foot_positions.append(exact_world.positions[:, foot_joints])
-    rotations = exact_tracks["r"]
+    rotations = exact_by_component["r"]
     assert rotations is not None
     if rotations.animated_values.size:
         quantized_rotations = quantize_units(
@@ -335,34 +338,38 @@ def _measure_error(
         zip(foot_joints, np.concatenate(foot_positions).swapaxes(0, 1), strict=True)
     )
     rate = float(stream.fps / stream.step)
-    return list(_foot_contacts(skeleton, legs, positions_by_foot, rate))
+    return list(_foot_contacts(skeleton, leg_by_side, positions_by_foot, rate))
 
 
-LegJoints = dict[str, tuple[int, int, int, int]]
+LegJointsBySide = dict[str, tuple[int, int, int, int]]
 
 
 def _roles_and_legs(
     draft: PageDraft, rig: Rig
-) -> tuple[RoledSkeleton | None, LegJoints]:
+) -> tuple[RoledSkeleton | None, LegJointsBySide]:
     """Return a rig's roles (None if it has no legs) and its legs, cached by rig."""
     arrays = (rig.rest_translations, rig.rest_rotations, rig.parents)
     key = repr(rig.names).encode() + b"".join(array.tobytes() for array in arrays)
     if key not in draft.rig_cache:
         skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
-        legs = {side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None}
-        draft.rig_cache[key] = (skeleton if legs else None), legs
-    skeleton_and_legs: tuple[RoledSkeleton | None, LegJoints] = draft.rig_cache[key]
+        leg_by_side = {
+            side: leg for side in "lr" if (leg := skeleton.leg(side)) is not None
+        }
+        draft.rig_cache[key] = (skeleton if leg_by_side else None), leg_by_side
+    skeleton_and_legs: tuple[RoledSkeleton | None, LegJointsBySide] = draft.rig_cache[
+        key
+    ]
     return skeleton_and_legs
 
 
 def _foot_contacts(
     skeleton: RoledSkeleton,
-    legs: LegJoints,
+    leg_by_side: LegJointsBySide,
     positions_by_foot: dict[int, FloatArray],
     rate: float,
 ) -> Iterator[tuple[int, Any]]:
     """Yield each foot joint with a mask of the frames in contact ``(F,)``."""
-    for side, leg in legs.items():
+    for side, leg in leg_by_side.items():
         ankle, toe = leg[2:]
         length = skeleton.leg_length(side)
         contacts = find_contacts(

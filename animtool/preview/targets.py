@@ -79,8 +79,10 @@ def _posed_targets(
 ) -> tuple[Rig, WorldTransforms]:
     """Return the rig that the targets refer to, and its pose in the file's up axis."""
     if page_take is None or not page_take.frames:
-        names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
-        rig = Rig(Path(tracks.path).stem, tuple(Joint(name, -1) for name in names))
+        joint_names = dict.fromkeys(goal.goal.joint for goal in tracks.goals)
+        rig = Rig(
+            Path(tracks.path).stem, tuple(Joint(name, -1) for name in joint_names)
+        )
         bind = bind_matrices(rig)[None].repeat(len(samples), axis=0)
         return rig, WorldTransforms(bind[..., :3, 3], bind[..., :3, :3])
     take_frames = np.clip(samples - page_take.first_sample, 0, page_take.frames - 1)

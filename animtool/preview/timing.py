@@ -90,11 +90,11 @@ def fit_to_page(
         frame_range = FrameRange(math.ceil(stage_range[0]), math.floor(stage_range[1]))
         resampled_rate = None if stream.fps == fps else fps
     if resampled_rate is not None or frame_range is not None:
-        bake = BakeOptions(fps=resampled_rate, frame_range=frame_range)
+        bake_options = BakeOptions(fps=resampled_rate, frame_range=frame_range)
         faults: list[Fault] = []
         rate = resampled_rate or stream.fps
         stream = resample_for_output(
-            TakePlan(file.path, "", stream, None, bake, rate, start, faults)
+            TakePlan(file.path, "", stream, None, bake_options, rate, start, faults)
         )
         # The duration of the take need not be a whole number of frames.
         notices += [fault for fault in faults if fault.code not in ignored_codes]
@@ -139,7 +139,7 @@ def timeline_of(
     notices: list[Fault],
 ) -> Timeline:
     """Return the timeline that covers all files; add a warning to the notices."""
-    spans = [
+    covered_ranges = [
         _range_in_stage(
             timeline_take, _authored_range(files[timeline_take.file_index], fps)
         )
@@ -154,22 +154,28 @@ def timeline_of(
         ):
             rate_ratio = fps / contents.fps
             start, end = contents.span
-            spans.append((start * rate_ratio, end * rate_ratio))
+            covered_ranges.append((start * rate_ratio, end * rate_ratio))
         if file.markers is not None:
-            span = file.markers.clock.span
-            rate_ratio = fps / span.fps
-            spans.append((span.first * rate_ratio, span.last * rate_ratio))
+            file_span = file.markers.clock.span
+            rate_ratio = fps / file_span.fps
+            covered_ranges.append(
+                (file_span.first * rate_ratio, file_span.last * rate_ratio)
+            )
         if file.targets is not None and all(
             timeline_take.motion.frames < 2 for timeline_take in timeline_takes
         ):
-            span = file.targets.clock.span
-            rate_ratio = Fraction(1) if file.targets.fps is None else fps / span.fps
-            spans.append((span.first * rate_ratio, span.last * rate_ratio))
+            file_span = file.targets.clock.span
+            rate_ratio = (
+                Fraction(1) if file.targets.fps is None else fps / file_span.fps
+            )
+            covered_ranges.append(
+                (file_span.first * rate_ratio, file_span.last * rate_ratio)
+            )
     first = min(
-        (span_start for span_start, _ in spans),
+        (span_start for span_start, _ in covered_ranges),
         default=timeline_takes[0].first_frame if timeline_takes else Fraction(1),
     )
-    last = max((span_end for _, span_end in spans), default=first)
+    last = max((span_end for _, span_end in covered_ranges), default=first)
     frame_range = options.frame_range
     if isinstance(frame_range, FrameList):
         start = min([first, *(take.clip_origin for take in timeline_takes)])
@@ -184,7 +190,7 @@ def timeline_of(
                 missing_frames_fault(frame_range, start, end, noun="file")
             )
     count = int((last - first) / step) + 1
-    if frame_range is not None and spans:
+    if frame_range is not None and covered_ranges:
         notices += _range_notice(frame_range, first, first + (count - 1) * step)
     if count > MAX_FRAMES:
         message = f"the page would have {count} frames; the limit is {MAX_FRAMES}"
@@ -204,8 +210,10 @@ def _check_listed_frames(
     if not missing_frames:
         return
     is_one = len(missing_frames) == 1
-    frames = f"frame{'' if is_one else 's'} {listed(missing_frames)}"
-    message = f"{argument('frame_range')}: {frames} {'is' if is_one else 'are'} not in "
+    frames_text = f"frame{'' if is_one else 's'} {listed(missing_frames)}"
+    message = (
+        f"{argument('frame_range')}: {frames_text} {'is' if is_one else 'are'} not in "
+    )
     message += "the file" if len(files) == 1 else "the files"
     verb = "has" if len(files) == 1 else "have"
     # A take is read up to the last listed frame.
@@ -221,9 +229,9 @@ def _range_notice(
     frame_range: FrameRange, first: Fraction, last: Fraction
 ) -> list[Fault]:
     """Return a warning if a range extends beyond the frames that are shown."""
-    is_longer = frame_range.last - last >= frame_range.step
+    extends_beyond_end = frame_range.last - last >= frame_range.step
     if isinstance(frame_range, FrameList) or (
-        first - frame_range.first < 1 and not is_longer
+        first - frame_range.first < 1 and not extends_beyond_end
     ):
         return []
     range_text = f"{frame_range.first}-{frame_range.last}"

@@ -89,24 +89,25 @@ def _table_html(
     """Yield a table as HTML; the first row is its header."""
     yield '<div class="wide"><table>\n'
     for k, row in enumerate(rows):
-        cell = "td" if k else "th"
+        cell_tag = "td" if k else "th"
         class_attribute = f' class="{classes[k - 1]}"' if k and classes[k - 1] else ""
         yield f"<tr{class_attribute}>"
         for j, text in enumerate(row):
             cell_class = ' class="left"' if j in left_columns else ""
-            yield f"<{cell}{cell_class}>{html.escape(text)}</{cell}>"
+            yield f"<{cell_tag}{cell_class}>{html.escape(text)}</{cell_tag}>"
         yield "</tr>\n"
     yield "</table></div>\n"
 
 
 def _viewer_html(compared_pair: StagePair) -> Iterator[str]:
     """Yield an iframe with the viewer of two settings."""
-    current, alternative = (
+    current_text, alternative_text = (
         html.escape(str(setting)) for setting in compared_pair.settings
     )
-    yield f"<p>Side by side: {current} (current) and {alternative}.</p>\n"
+    yield f"<p>Side by side: {current_text} (current) and {alternative_text}.</p>\n"
     page = make_page([*compared_pair.files], PreviewOptions(findings=False))
     for i, take in enumerate(page.manifest["takes"]):
         take["offset"] = [i * VIEWER_GAP * compared_pair.size, 0.0, 0.0]
-    document = html.escape(page.html(), quote=True)
-    yield f'<iframe title="{current}, {alternative}" srcdoc="{document}"></iframe>\n'
+    page_html = html.escape(page.html(), quote=True)
+    title = f"{current_text}, {alternative_text}"
+    yield f'<iframe title="{title}" srcdoc="{page_html}"></iframe>\n'

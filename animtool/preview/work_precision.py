@@ -91,7 +91,11 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
         _draw_panel(axes, panel, ticker)
     format_name = path.suffix.lower().removeprefix(".")
     # No metadata that changes between runs: equal plots are equal bytes.
-    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}, "png": {}}
+    metadata_by_format = {
+        "svg": {"Date": None},
+        "pdf": {"CreationDate": None},
+        "png": {},
+    }
     try:
         with (
             matplotlib.rc_context({"svg.hashsalt": "animtool"}),
@@ -101,7 +105,9 @@ def draw_panels(panels: Sequence[Panel], path: Path) -> None:
             # Characters missing in a font are drawn as boxes, without a warning.
             warnings.filterwarnings("ignore", "Glyph", UserWarning)
             figure.savefig(
-                temporary_path, format=format_name, metadata=metadata[format_name]
+                temporary_path,
+                format=format_name,
+                metadata=metadata_by_format[format_name],
             )
     except OSError as error:
         raise output_error(path, error) from error
@@ -164,15 +170,15 @@ def _ring_current(axes: Any, current_points: Sequence[PrecisionPoint]) -> None:
     )
 
 
-def _draw_curve(axes: Any, curve: PrecisionCurve, i: int) -> None:
+def _draw_curve(axes: Any, curve: PrecisionCurve, curve_index: int) -> None:
     """Draw the curve of one method, with its best settings marked."""
     visible_points = [p for p in curve.points if p.error > 0 and math.isfinite(p.error)]
     if not visible_points:
         return
-    x, y = [p.cost for p in visible_points], [p.error for p in visible_points]
-    marker = MARKER_SHAPES[i % len(MARKER_SHAPES)]
+    costs, errors = [p.cost for p in visible_points], [p.error for p in visible_points]
+    marker = MARKER_SHAPES[curve_index % len(MARKER_SHAPES)]
     (line,) = axes.plot(
-        x, y, marker=marker, markersize=4, linewidth=1, label=curve.name
+        costs, errors, marker=marker, markersize=4, linewidth=1, label=curve.name
     )
     best_points = [p for p in visible_points if p.is_best]
     axes.plot(
@@ -203,7 +209,8 @@ def _panel_of(table: TrialTable) -> Panel:
             )
             points_by_method.setdefault(row.setting.method, []).append(point)
     curves = tuple(
-        PrecisionCurve(name, tuple(points)) for name, points in points_by_method.items()
+        PrecisionCurve(method, tuple(points))
+        for method, points in points_by_method.items()
     )
     reference = table.reference
     remark, floor = "", 0.0
@@ -211,6 +218,6 @@ def _panel_of(table: TrialTable) -> Panel:
         floor = table.error_of(reference) or 0.0
         if reference.sensitive:
             remark = "error not small: the motion is sensitive"
-    name = COST_LABELS[table.cost][1] or table.unit
+    cost_label = COST_LABELS[table.cost][1] or table.unit
     title, error_label = f"{table.name}, {table.kind}", f"error, {table.error} [m]"
-    return Panel(title, error_label, curves, floor, remark, name)
+    return Panel(title, error_label, curves, floor, remark, cost_label)

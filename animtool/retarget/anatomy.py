@@ -44,7 +44,7 @@ from animtool.retarget.structure import (
 from animtool.rig.skeleton import Rig
 
 _LIMB_ROLES = {"arm": ARM_ROLES, "leg": LEG_ROLES}
-_LIMB_SHAPES = {
+_SHAPE_BY_LIMB = {
     f"{name}_{side}": LimbShape(
         (*(f"{role}_{side}" for role in roles), *[""] * (5 - len(roles))), *lengths
     )
@@ -55,7 +55,7 @@ _LIMB_SHAPES = {
     )
 }
 # Confidence in a role by its evidence.
-_CONFIDENCE = {
+_CONFIDENCE_BY_EVIDENCE = {
     RoleSource.PRESET: 1.0,
     RoleSource.NAME: 0.9,
     RoleSource.STRUCTURE: 0.7,
@@ -76,7 +76,7 @@ class _RoleSearch:
     body: SkeletonTree
     roles: list[str]
     # Lowest known joint, by limb.
-    tip_joints: dict[str, int] = field(default_factory=dict)
+    tip_by_limb: dict[str, int] = field(default_factory=dict)
     # Kinds of limbs whose joints have no names that tell the side.
     unsided_limbs: list[str] = field(default_factory=list)
     has_guessed_sides: bool = False  # whether sides come from the order of the file
@@ -125,12 +125,12 @@ def find_anatomy(
     search = _RoleSearch(body, [""] * len(names))
     notices = [*preset_warnings, *_ignore_smaller_trees(search)]
     _find_limbs(search)
-    up = find_up_direction(body, search.tip_joints)
+    up = find_up_direction(body, search.tip_by_limb)
     if up is None and positions is not None:
         search.body = replace(body, positions=positions)
-        up = find_up_direction(search.body, search.tip_joints)
+        up = find_up_direction(search.body, search.tip_by_limb)
     is_rest_pose = search.body is body
-    tips = search.tip_joints
+    tips = search.tip_by_limb
     left_axis = find_left_direction(search.body, tips, up, is_rest_pose=is_rest_pose)
     _assign_sides_by_position(search, left_axis)
     _assign_trunk(search)
@@ -139,7 +139,7 @@ def find_anatomy(
     _assign_other_roles(search)
     notices += _anatomy_warnings(search)
     evidence = [_role_source(role, votes[j]) for j, role in enumerate(search.roles)]
-    confidence = tuple(_CONFIDENCE[source] for source in evidence)
+    confidence = tuple(_CONFIDENCE_BY_EVIDENCE[source] for source in evidence)
     name = chosen_preset.name if chosen_preset else ""
     return Anatomy(
         tuple(search.roles), tuple(evidence), confidence, name, tuple(notices)
@@ -167,7 +167,7 @@ def _preset_warning(
 
 
 def joints_of_part(rig: Rig, name: str) -> tuple[str, list[str]]:
-    """Return the part of the body that a name means, and the joints that a rig has.
+    """Return the part of the body that a name means, and the rig's joints of that part.
 
     Both are empty for a name without a known meaning, or if the rig has no such part.
     A name without a side means both sides.
@@ -183,8 +183,8 @@ def joints_of_part(rig: Rig, name: str) -> tuple[str, list[str]]:
         return "", []
     anatomy = find_anatomy(rig)
     joints = [rig.names[j] for each in roles for j in anatomy.chain(each)]
-    sides = {"_l": "left ", "_r": "right "}
-    return sides.get(role[-2:], "") + base_role(role).replace("_", " "), joints
+    side_texts = {"_l": "left ", "_r": "right "}
+    return side_texts.get(role[-2:], "") + base_role(role).replace("_", " "), joints
 
 
 def _role_of_name(name: str) -> str:
@@ -230,10 +230,10 @@ def _ignore_smaller_trees(search: _RoleSearch) -> list[Fault]:
             search.roles[j] = CONTROL
     if not other_roots:
         return []
-    names = body.rig.names
-    other_names = listed([repr(names[j]) for j in other_roots], MAX_LISTED_JOINTS)
+    joint_names = body.rig.names
+    other_names = listed([repr(joint_names[j]) for j in other_roots], MAX_LISTED_JOINTS)
     message = f"{len(other_roots) + 1} skeletons in one file: that of "
-    message += f"{names[main_hips]!r} is mapped, {other_names} are skipped"
+    message += f"{joint_names[main_hips]!r} is mapped, {other_names} are skipped"
     hint = "export the others to separate files"
     return [warning("MAP103", message, hint)]
 
@@ -245,17 +245,17 @@ def _find_limbs(search: _RoleSearch) -> None:
         for side in SIDES:
             tip = _find_named_tip(search, {f"{role}_{side}" for role in roles})
             if tip >= 0:
-                search.tip_joints[f"{limb}_{side}"] = tip
+                search.tip_by_limb[f"{limb}_{side}"] = tip
     for limb, joint_pair in zip(("leg", "arm"), find_limb_pairs(body), strict=True):
         assigned_joints = {
-            j for tip in search.tip_joints.values() for j in body.rig.upwards(tip)
+            j for tip in search.tip_by_limb.values() for j in body.rig.upwards(tip)
         }
         assigned_joints |= {j for j, role in enumerate(search.roles) if role}
-        has_name = any(f"{limb}_{side}" in search.tip_joints for side in SIDES)
+        has_name = any(f"{limb}_{side}" in search.tip_by_limb for side in SIDES)
         if joint_pair and not has_name and assigned_joints.isdisjoint(joint_pair):
             search.unsided_limbs.append(limb)
             for side, limb_root in zip(SIDES, joint_pair, strict=True):
-                search.tip_joints[f"{limb}_{side}"] = body.longest_path(limb_root)[-1]
+                search.tip_by_limb[f"{limb}_{side}"] = body.longest_path(limb_root)[-1]
 
 
 def _find_named_tip(search: _RoleSearch, limb_roles: set[str]) -> int:
@@ -280,10 +280,10 @@ def _assign_sides_by_position(search: _RoleSearch, left_direction: FloatArray) -
 
     ``left_direction``: the body's left ``(3,)``.
     """
-    body, tip_joints = search.body, search.tip_joints
+    body, tip_by_limb = search.body, search.tip_by_limb
     for limb in search.unsided_limbs:
         tip_names = [f"{limb}_{side}" for side in SIDES]
-        tips = [tip_joints[name] for name in tip_names]
+        tips = [tip_by_limb[name] for name in tip_names]
         common_joint = body.lowest_common_ancestor(tips)
         chains = [body.path(common_joint, tip)[1:] for tip in tips]
         # Hands and feet may cross; where limbs begin they do not.
@@ -297,14 +297,14 @@ def _assign_sides_by_position(search: _RoleSearch, left_direction: FloatArray) -
         if abs(signed_distance) <= 1e-3 * max(body.size, 1e-30):
             search.has_guessed_sides = True
         elif signed_distance < 0:
-            tip_joints |= {tip_names[0]: tips[1], tip_names[1]: tips[0]}
+            tip_by_limb |= {tip_names[0]: tips[1], tip_names[1]: tips[0]}
 
 
 def _assign_trunk(search: _RoleSearch) -> None:
     """Assign roles to hips, spine, neck, head, and the joints above the hips."""
-    body, tip_joints = search.body, search.tip_joints
-    legs = [tip_joints[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tip_joints]
-    arms = [tip_joints[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tip_joints]
+    body, tip_by_limb = search.body, search.tip_by_limb
+    legs = [tip_by_limb[f"leg_{s}"] for s in SIDES if f"leg_{s}" in tip_by_limb]
+    arms = [tip_by_limb[f"arm_{s}"] for s in SIDES if f"arm_{s}" in tip_by_limb]
     head = _find_by_name(search, "head")
     chest = body.lowest_common_ancestor(arms) if len(arms) == 2 else -1
     if head < 0 and chest >= 0:
@@ -347,7 +347,7 @@ def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> Non
 
 
 def _find_by_name(search: _RoleSearch, role: str) -> int:
-    """Return the topmost joint whose name votes most for a role, or -1."""
+    """Return the topmost of the joints whose names suggest a role most, or -1."""
     weights = [
         0.0 if search.roles[j] else votes.get(role, 0.0)
         for j, votes in enumerate(search.body.votes)
@@ -372,7 +372,7 @@ def _find_hips(search: _RoleSearch, fork: int, leg_fork: int) -> int:
 def _find_head(search: _RoleSearch, chest: int) -> int:
     """Return the first fork of the longest chain above the chest, or its end."""
     body = search.body
-    arms = {j for s in SIDES for j in body.rig.upwards(search.tip_joints[f"arm_{s}"])}
+    arms = {j for s in SIDES for j in body.rig.upwards(search.tip_by_limb[f"arm_{s}"])}
     branches = [j for j in body.limb_children(chest) if j not in arms]
     if not branches:
         return -1
@@ -387,8 +387,8 @@ def _find_head(search: _RoleSearch, chest: int) -> int:
 def _assign_limb(search: _RoleSearch, limb: str) -> None:
     """Assign roles to the joints of an arm or leg and to its fingers."""
     body, limb_kind, side = search.body, *limb.split("_")
-    tip = search.tip_joints[limb]
-    other_tips = [j for name, j in search.tip_joints.items() if name != limb]
+    tip = search.tip_by_limb[limb]
+    other_tips = [j for name, j in search.tip_by_limb.items() if name != limb]
     used_joints = {j for other in other_tips for j in body.rig.upwards(other)}
     used_joints |= {j for j, role in enumerate(search.roles) if role}
     path = [j for j in body.rig.upwards(tip) if j not in used_joints]
@@ -400,7 +400,7 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
         path, branch = _split_hand(search, path, side)
     else:
         path = _split_toes(search, path)
-    joint_roles = split_limb(body, path, _LIMB_SHAPES[limb], branch)
+    joint_roles = split_limb(body, path, _SHAPE_BY_LIMB[limb], branch)
     for j, role_of_joint in zip(path, joint_roles, strict=True):
         search.set_role(j, "" if body.joint_kinds[j] == CONTROL else role_of_joint)
     hand_joints = list(compress(path, (r == f"hand_{side}" for r in joint_roles)))
@@ -414,7 +414,7 @@ def _assign_limb(search: _RoleSearch, limb: str) -> None:
 def _split_hand(
     search: _RoleSearch, path: list[int], side: str
 ) -> tuple[list[int], int]:
-    """Split an arm into the chain without fingers, and the joint that forks."""
+    """Return an arm's joints down to the hand, and the joint where the fingers fork."""
     votes = search.body.votes
     hand_indices = [i for i, j in enumerate(path) if f"hand_{side}" in votes[j]]
     if hand_indices:
@@ -503,7 +503,7 @@ def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
     ]
     warnings = []
     # Without any limb it is no body: a lamp, a snake.
-    missing_legs = _missing_legs_text(roles) if search.tip_joints else ""
+    missing_legs = _missing_legs_text(roles) if search.tip_by_limb else ""
     if missing_legs:
         hint = "root motion is scaled like the rest of the body, and no feet are held"
         if missing_legs in MISSING_LEG_TEXTS:
@@ -513,8 +513,8 @@ def _anatomy_warnings(search: _RoleSearch) -> list[Fault]:
         message = f"all offsets of {rig.name!r} are zero: it has no rest pose"
         warnings.append(("MAP102", message, "joints are mapped by name only"))
     if fingerless_hands:
-        names = listed(fingerless_hands, MAX_LISTED_JOINTS)
-        message = f"the rest pose of {rig.name!r} does not show where {names} end"
+        hands_text = listed(fingerless_hands, MAX_LISTED_JOINTS)
+        message = f"the rest pose of {rig.name!r} does not show where {hands_text} end"
         hint = "the hand is assumed to continue the forearm"
         warnings.append(("MAP104", message, hint))
     if search.has_guessed_sides:

@@ -21,7 +21,9 @@ MIN_SHIN_COSINE = 0.97
 METATARSAL_START = 0.15
 
 
-def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]:
+def find_balls(
+    skeleton: RoledSkeleton, other_skeleton: RoledSkeleton
+) -> dict[str, Ball]:
     """Return the ball of each foot of a skeleton, by side.
 
     The ball is where the toes begin: the middle of the foremost toe joints. A foot
@@ -29,24 +31,28 @@ def find_balls(skeleton: RoledSkeleton, other: RoledSkeleton) -> dict[str, Ball]
     foot better. A foot without an end joint takes the other skeleton's ball, scaled.
     A foot is left out if neither skeleton shows its ball.
     """
-    balls = {}
+    ball_by_side = {}
     for side in "lr":
-        leg, other_leg = skeleton.leg(side), other.leg(side)
+        leg, other_leg = skeleton.leg(side), other_skeleton.leg(side)
         if leg is None:
             continue
         foot, toes = leg[2], _first_toe_joints(skeleton, side)
         if toes:
             ankle_to_ball = _ankle_to_ball(skeleton, foot, toes)
         else:
-            other_shape = None if other_leg is None else _foot_shape(other, side)
-            leg_ratio = skeleton.leg_length(side) / (other.leg_length(side) or 1.0)
+            other_shape = (
+                None if other_leg is None else _foot_shape(other_skeleton, side)
+            )
+            leg_ratio = skeleton.leg_length(side) / (
+                other_skeleton.leg_length(side) or 1.0
+            )
             toeless_ball = _toeless_ball(skeleton, side, other_shape, leg_ratio)
             if toeless_ball is None:
                 continue
             ankle_to_ball = toeless_ball
         offset = so3.rotate(so3.conjugate(skeleton.rotations[foot]), ankle_to_ball)
-        balls[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
-    return balls
+        ball_by_side[side] = Ball(toes[0] if len(toes) == 1 else -1, offset)
+    return ball_by_side
 
 
 def _first_toe_joints(skeleton: RoledSkeleton, side: str) -> list[int]:
@@ -104,7 +110,7 @@ def _foot_shape(skeleton: RoledSkeleton, side: str) -> _FootShape | None:
 def _vector_to_tip(
     skeleton: RoledSkeleton, joints: Sequence[int], ankle: FloatArray
 ) -> FloatArray | None:
-    """Return the vector to the farthest end of a joint chain ``(3,)``."""
+    """Return the vector from an ankle to the farthest end of a joint chain, or None."""
     rig = skeleton.rig
     all_joints, top_joints = range(len(rig.joints)), {*joints}
     descendants = [j for j in all_joints if not top_joints.isdisjoint(rig.upwards(j))]
@@ -152,7 +158,7 @@ def _toeless_ball(
 def _foot_end(
     skeleton: RoledSkeleton, leg: tuple[int, int, int, int], ankle: FloatArray
 ) -> FloatArray | None:
-    """Return the vector to the end of a foot without toes ``(3,)``; None if unknown."""
+    """Return the vector from the ankle to the end of a toeless foot, or None."""
     rig, (_, shin, foot, _) = skeleton.rig, leg
     rotation = skeleton.rotations[foot]
     offsets = [so3.rotate(rotation, np.asarray(tip)) for tip in rig.joints[foot].tips]

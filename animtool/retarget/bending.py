@@ -80,15 +80,15 @@ def bend_at_pin(
     bend does.
     """
     thigh, shin = bones
-    axial_product = float((thigh @ pin_axis) * (shin @ pin_axis))
-    cosine = float(thigh @ shin) - axial_product
+    axial_component_product = float((thigh @ pin_axis) * (shin @ pin_axis))
+    cosine = float(thigh @ shin) - axial_component_product
     sine = float(thigh @ np.cross(pin_axis, shin))
     amplitude = float(np.hypot(cosine, sine))
     if not amplitude:
         return thigh_rotations, current_angles
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    required_product = (goal_distance**2 - thigh @ thigh - shin @ shin) / 2
-    required_cosine = required_product - axial_product
+    required_dot_product = (goal_distance**2 - thigh @ thigh - shin @ shin) / 2
+    required_cosine = required_dot_product - axial_component_product
     opening_angles = np.arccos(np.clip(required_cosine / amplitude, -1.0, 1.0))
     straight_angle = float(np.arctan2(sine, cosine))
     candidates = np.stack(

@@ -51,14 +51,16 @@ def measure_capture(take: Take) -> CaptureFacts | None:
     if not rig.joints:
         return None
     skeleton = RoledSkeleton.of(rig, find_anatomy(rig).roles)
-    legs = {side: skeleton.leg(side) for side in "lr"}
-    if not any(legs.values()) or take.clock.count < 2:
+    leg_by_side = {side: skeleton.leg(side) for side in "lr"}
+    if not any(leg_by_side.values()) or take.clock.count < 2:
         return None
-    feet_joints = {j for leg in legs.values() if leg is not None for j in leg[2:]}
+    feet_joints = {
+        j for leg in leg_by_side.values() if leg is not None for j in leg[2:]
+    }
     hips, positions = joint_positions(take, skeleton, sorted(feet_joints))
     up, fps = up_index(rig), float(take.clock.rate)
-    feet = {}
-    for side, leg in legs.items():
+    facts_by_side = {}
+    for side, leg in leg_by_side.items():
         if leg is None:
             continue
         toe = positions.get(leg[3])
@@ -66,11 +68,11 @@ def measure_capture(take: Take) -> CaptureFacts | None:
         is_planted = find_contacts(positions[leg[2]], toe, fps, leg_length, up).any
         steps = sum(start > 0 for start, _ in runs(is_planted))
         name = "left" if side == "l" else "right"
-        feet[name] = FootFacts(float(is_planted.mean()), steps)
+        facts_by_side[name] = FootFacts(float(is_planted.mean()), steps)
     speeds = ground_speeds(take, hips)
     noise, noisiest = _noisiest_joint(take)
     return CaptureFacts(
-        feet, float(speeds.mean()), float(speeds.max()), noise, noisiest
+        facts_by_side, float(speeds.mean()), float(speeds.max()), noise, noisiest
     )
 
 

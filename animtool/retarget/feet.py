@@ -118,11 +118,11 @@ def plant_feet(
             feet, pinned_points, toe_vectors, strict=True
         )
     ]
-    hip_drop, hip_rise = _hip_shifts(hips, feet, ankles, fps, up)
-    hips[:, up] += hip_rise - hip_drop
+    hip_lowering, hip_rise = _hip_shifts(hips, feet, ankles, fps, up)
+    hips[:, up] += hip_rise - hip_lowering
     sole_heights = [foot.height + _toe_height(foot, up) for foot in feet]
     toe_rolls = [_toe_roll(foot.contacts.toe, fps) for foot in feet]
-    max_lowering = max(float(hip_drop.max(initial=0.0)), 0.0)
+    max_lowering = max(float(hip_lowering.max(initial=0.0)), 0.0)
     foot_states = is_planted, toe_rolls, sole_heights
     return PlacedFeet(hips, ankles, rotations, *foot_states, max_lowering)
 
@@ -323,7 +323,10 @@ def _raise_above_ground(
 def fill_between(
     values: FloatArray, is_fixed: BoolArray, fps: float, fade: float = FADE_SECONDS
 ) -> None:
-    """Fill rows ``(F, K)`` that are not fixed with a smooth fade to 0 in a time [s]."""
+    """Replace rows ``(F, K)`` that are not fixed by smooth ones that fade to 0.
+
+    The rows fade over about ``fade`` [s] away from the fixed rows; ``values`` change.
+    """
     if is_fixed.all() or not is_fixed.any():
         return
     weights = np.where(is_fixed, FIXED_WEIGHT, 1.0)
@@ -341,7 +344,7 @@ def _hip_shifts(
     up: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return how far hips sink and rise so that all legs reach, each ``(F,)`` [m]."""
-    hip_drop, hip_rise = np.full((2, len(hips)), -np.inf)
+    hip_lowering, hip_rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
         offset = hips + foot.hip - ankle
         largest_reach = upper_envelope(
@@ -357,13 +360,13 @@ def _hip_shifts(
         horizontal_squared = (horizontal**2).sum(axis=1)
         highest_squared = (fraction * foot.leg_length) ** 2 - horizontal_squared
         highest = np.sqrt(np.maximum(highest_squared, 0.0))
-        hip_drop = np.maximum(hip_drop, offset[:, up] - highest)
+        hip_lowering = np.maximum(hip_lowering, offset[:, up] - highest)
         lowest = np.sqrt(np.maximum(foot.min_reach**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.
         is_above = (offset[:, up] > 0) & (lowest > 0)
         hip_rise = np.maximum(hip_rise, np.where(is_above, lowest - offset[:, up], 0.0))
     width = LOWERING_SECONDS * fps
-    return smooth_cover(hip_drop, width), smooth_cover(hip_rise, width)
+    return smooth_cover(hip_lowering, width), smooth_cover(hip_rise, width)
 
 
 def smooth_cover(values: FloatArray, width: float) -> FloatArray:

@@ -41,21 +41,23 @@ def no_body_warning(error: OptionError) -> Fault:
 def lock_feet(take: Take, options: FeetOptions, context: PassContext) -> Take:
     """Return a take whose planted feet stay in place; legs and hips are adjusted."""
     path = None if options.map is None else context.folder / options.map
-    settings = RetargetOptions(map=path)
+    retarget_options = RetargetOptions(map=path)
     try:
         retargeting, _, notices = retarget_stream(
-            TakeStream.of(take), take.rig, settings, plants_similar_legs=True
+            TakeStream.of(take), take.rig, retarget_options, plants_similar_legs=True
         )
     except OptionError as error:
         context.notices.append(no_body_warning(error))
         return take
     # A stated up axis that is wrong was reported when the take was read.
-    is_known = any(
+    is_up_axis_reported = any(
         notice.code == "MOT214" and notice.severity is Severity.WARNING
         for notice in take.notices
     )
     context.notices.extend(
-        notice for notice in notices if not (is_known and notice.code == "MAP009")
+        notice
+        for notice in notices
+        if not (is_up_axis_reported and notice.code == "MAP009")
     )
     if retargeting.contact_frames.placed_feet is None:
         return take

@@ -145,7 +145,7 @@ def parse_map_document(document: Document) -> MapFile:
 
 
 def _check_distinct_targets(document: Document, model: MapModel) -> None:
-    """Record target joints of two entries, or twice in one (MAP002)."""
+    """Record target joints that occur in two entries, or twice in one (MAP002)."""
     entry_of_joint: dict[str, int] = {}
     for i, entry in enumerate(model.joints):
         for name in dict.fromkeys(_name_list(entry.target)):
@@ -163,7 +163,7 @@ def _check_distinct_targets(document: Document, model: MapModel) -> None:
 def _add_repeated_target(
     document: Document, model: MapModel, name: str, indices: tuple[int, int]
 ) -> None:
-    """Record a target of two entries, with the joint that one likely means (MAP002)."""
+    """Record a repeated target, with the joint that was probably meant (MAP002)."""
     entries = [model.joints[i] for i in indices]
     sources = [", ".join(_name_list(entry.source)) for entry in entries]
     targets = {n for entry in model.joints for n in _name_list(entry.target)}
@@ -188,7 +188,7 @@ def _add_repeated_target(
 
 
 def _entry_side(entry: MapEntryModel) -> str:
-    """Return the side that the role of an entry states, else its source joints."""
+    """Return the side that an entry's role states, else that of its source joints."""
     if entry.role in ROLES:
         return entry.role[-1] if entry.role[-2:] in {"_l", "_r"} else ""
     sides = {name_side(name) for name in _name_list(entry.source)}
@@ -196,7 +196,7 @@ def _entry_side(entry: MapEntryModel) -> str:
 
 
 def _check_distinct_twists(document: Document, model: MapModel) -> None:
-    """Record joints of two entries of twists (MAP002)."""
+    """Record joints that two twist entries name (MAP002)."""
     entry_of_joint: dict[str, int] = {}
     for i, twist in enumerate(model.twists or ()):
         j = entry_of_joint.setdefault(twist.joint, i)
@@ -240,10 +240,12 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
         for i, name in enumerate(names):
             if name not in joints_by_name[side]:
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
-                other = "target" if side == "source" else "source"
+                other_side = "target" if side == "source" else "source"
                 hint = name_hint(name, joints_by_name[side])
-                if name in joints_by_name[other]:
-                    hint = f"it is a joint of the {other} {rigs[other].name!r}"
+                if name in joints_by_name[other_side]:
+                    hint = (
+                        f"it is a joint of the {other_side} {rigs[other_side].name!r}"
+                    )
                 document.add("MAP001", (*location, i), message, hint)
         return tuple(
             joints_by_name[side][n] for n in names if n in joints_by_name[side]
@@ -286,26 +288,33 @@ def _check_distinct_joints(
     entry_of_joint: dict[int, int] = {}
     for i, entry in enumerate(entries):
         for j in entry.target:
-            other = entry_of_joint.setdefault(j, i)
-            if other != i:
-                message = f"joints[{other}] has the same joint {target.names[j]!r} of "
+            other_index = entry_of_joint.setdefault(j, i)
+            if other_index != i:
+                message = (
+                    f"joints[{other_index}] has the same joint {target.names[j]!r} of "
+                )
                 message += f"{target.name!r} by another name"
                 hint = "remove one of the two entries"
                 document.add("MAP002", ("joints", i, "target"), message, hint)
 
 
 def _refuse_swapped_map(
-    file: MapFile, rigs: Mapping[str, Rig], joints: Mapping[str, Mapping[str, int]]
+    file: MapFile,
+    rig_by_side: Mapping[str, Rig],
+    joints_by_side: Mapping[str, Mapping[str, int]],
 ) -> None:
     """Raise a single fault if a map has source and target swapped (MAP001)."""
     document, entries = file.document, file.model.joints
-    for side, other in (("source", "target"), ("target", "source")):
+    for side, other_side in (("source", "target"), ("target", "source")):
         names = [name for entry in entries for name in _name_list(getattr(entry, side))]
-        if not all(n in joints[other] and n not in joints[side] for n in names):
+        if not all(
+            n in joints_by_side[other_side] and n not in joints_by_side[side]
+            for n in names
+        ):
             return
     name = names[0]
     message = "source and target are swapped in this map: its targets, such as "
-    message += f"{name!r}, are joints of the source {rigs['source'].name!r}"
+    message += f"{name!r}, are joints of the source {rig_by_side['source'].name!r}"
     hint = "swap the two names in each entry, or retarget in the other direction"
     document.add("MAP001", ("joints", 0), message, hint)
     document.check()
@@ -318,9 +327,9 @@ def _name_list(value: str | list[str]) -> list[str]:
 
 def _joints_by_name(rig: Rig) -> Mapping[str, int]:
     """Return a lookup of joint indices by every name that matches a joint."""
-    joints: dict[str, int] = {}
+    joint_by_name: dict[str, int] = {}
     names_in_file = [joint.source_name or joint.name for joint in rig.joints]
     for names in (rig.names, names_in_file, strip_common_prefix(names_in_file)):
         for j, name in enumerate(names):
-            joints.setdefault(name, j)
-    return joints
+            joint_by_name.setdefault(name, j)
+    return joint_by_name

@@ -12,7 +12,7 @@ from animtool.retarget.structure import SkeletonTree
 
 
 def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[int, str]:
-    """Return the roles of the joints below the joints of a hand."""
+    """Return the role of each joint below the joints of a hand, by joint index."""
     paths: list[list[int]] = []
     finger_roots = [child for hand in hands for child in body.limb_children(hand)]
     stack = [[child] for child in finger_roots[::-1] if child not in hands]
@@ -24,35 +24,35 @@ def finger_roles(body: SkeletonTree, hands: Sequence[int], side: str) -> dict[in
         stack += [[*path, child] for child in children[::-1]]
     if not paths:
         return {}
-    digits = _assign_digits(body, paths, hands[-1])
+    digits = _digits_of_paths(body, paths, hands[-1])
     # Shared joints belong to the shorter finger, and to a finger before a thumb.
     order = sorted(
         range(len(paths)), key=lambda i: (len(paths[i]), digits[i] == "thumb", i)
     )
-    joints_of_digit: dict[int, list[int]] = {}
+    joints_by_path: dict[int, list[int]] = {}
     assigned_joints: set[int] = set()
     for i in order:
-        joints_of_digit[i] = [j for j in paths[i] if j not in assigned_joints]
+        joints_by_path[i] = [j for j in paths[i] if j not in assigned_joints]
         assigned_joints |= set(paths[i])
-    thumb_paths = (joints_of_digit[i] for i in order if digits[i] == "thumb")
+    thumb_paths = (joints_by_path[i] for i in order if digits[i] == "thumb")
     thumb_length = next(map(len, thumb_paths), 3)
-    roles: dict[int, str] = {}
+    role_by_joint: dict[int, str] = {}
     for i in order:
         if digits[i]:
-            path = joints_of_digit[i]
-            roles |= _phalanx_roles(body, path, digits[i], side, thumb_length)
-    return roles
+            path = joints_by_path[i]
+            role_by_joint |= _phalanx_roles(body, path, digits[i], side, thumb_length)
+    return role_by_joint
 
 
-def _assign_digits(
+def _digits_of_paths(
     body: SkeletonTree, paths: Sequence[list[int]], hand: int
 ) -> list[str]:
     """Return the finger of each joint path, by its names, else by its position."""
     digits = []
     for path in paths:
         names = [role.split("_")[0] for j in path for role in body.votes[j]]
-        digit_counts = Counter(n for n in names if n in {*DIGITS, MITTEN_ROLE})
-        digits.append(digit_counts.most_common(1)[0][0] if digit_counts else "")
+        count_by_digit = Counter(n for n in names if n in {*DIGITS, MITTEN_ROLE})
+        digits.append(count_by_digit.most_common(1)[0][0] if count_by_digit else "")
     if any(digits):
         return digits
     return _digits_by_position(body, paths, hand)
@@ -125,11 +125,11 @@ def _phalanx_roles(
         has_last_bone = body.tip_lengths[path[-1]] > 0
         has_metacarpal = len(path) > 3 and (has_last_bone or len(path) > thumb_length)
         best_start = int(not has_metacarpal)
-    roles = {}
+    role_by_joint = {}
     for i, j in enumerate(path):
         phalanx = i + best_start
         if phalanx > 3:
-            roles[j] = END
+            role_by_joint[j] = END
         elif phalanx >= (digit == "thumb"):
-            roles[j] = f"{digit}_{phalanx}_{side}"
-    return roles
+            role_by_joint[j] = f"{digit}_{phalanx}_{side}"
+    return role_by_joint

@@ -41,7 +41,7 @@ REACH_FRACTION, MAX_REACH_ITERATIONS = 0.99, 20
 class ArmTracks(Rows):
     """Motion of a target arm relative to the hips, and of the source's wrist."""
 
-    joints: FloatArray  # shoulder, elbow, wrist from the middle of the hips (F, 3, 3)
+    joint_positions: FloatArray  # shoulder, elbow, wrist from mid-hips (F, 3, 3) [m]
     rotations: FloatArray  # world rotations of upper arm and forearm (F, 2, 4)
     source_wrist: FloatArray  # the source's wrist in the target's axes (F, 3) [m]
 
@@ -133,14 +133,14 @@ def hand_contacts(
     """
     up = up_index(transfer.target.rig)
     ground_offset = AnkleHeights.ground_offset(ankle_heights, transfer.scale, up)
-    wrists = [hips + arm.joints[:, 2] for arm in tracks]
+    wrists = [hips + arm.joint_positions[:, 2] for arm in tracks]
     lengths = [_arm_length(transfer.source, side) for side in sides]
     scales = [
         _arm_length(transfer.target, side) / length if length > 0 else 1.0
         for side, length in zip(sides, lengths, strict=True)
     ]
     frame_count = len(hips)
-    shoulders = [hips + arm.joints[:, 0] for arm in tracks]
+    shoulders = [hips + arm.joint_positions[:, 0] for arm in tracks]
     goals = [wrist.copy() for wrist in wrists]
     is_active = [np.zeros(frame_count, np.bool_) for _ in tracks]
     if len(tracks) == 2:
@@ -189,10 +189,12 @@ def hand_contacts(
             soft_goal = ground_level + _soften_heights(height_above_ground, soft_height)
             goals[k][is_low, up] = soft_goal[is_low]
             is_contact |= is_low
-        vectors = _arm_rotations(
+        rotation_vectors = _arm_rotations(
             transfer.target, side, tracks[k], shoulders[k], goals[k], is_contact, fps
         )
-        contacts.append(HandContact(side, goals[k], is_active[k], vectors, prop_tracks))
+        contacts.append(
+            HandContact(side, goals[k], is_active[k], rotation_vectors, prop_tracks)
+        )
     return contacts
 
 
@@ -215,7 +217,10 @@ def _arm_rotations(
     arm, frames = arm_joints(target, side), np.flatnonzero(is_contact)
     if arm is None or not len(frames):
         return rotation_vectors
-    joints = shoulder[frames, None] + (tracks.joints - tracks.joints[:, :1])[frames]
+    joints = (
+        shoulder[frames, None]
+        + (tracks.joint_positions - tracks.joint_positions[:, :1])[frames]
+    )
     bone_rotations = tracks.rotations[frames, 0], tracks.rotations[frames, 1]
     hinge = elbow_hinge(target, arm)
     bent_rotations = limb_rotations(

@@ -35,7 +35,7 @@ RATE_FACTORS, MIN_CAPTURE_RATE = (2, 3, 4, 5, 8, 10), 15
 # A planted foot moves less than this in this time [size], [s].
 MAX_STATIC_MOVE, STATIC_SECONDS = 0.012, Fraction(1, 10)
 # Warnings that explain another height.
-EXPLAINED_CODES = frozenset({"MAP009", "MOT209", "MOT213", "MOT214", "BVH115"})
+EXPLAINING_CODES = frozenset({"MAP009", "MOT209", "MOT213", "MOT214", "BVH115"})
 # Sampled pairs of frames of a block, and planted feet that show the ground.
 PAIR_COUNT, MIN_PLANTED_FEET = 32, 8
 # A planted foot is the lowest joint, within this distance [size].
@@ -88,7 +88,7 @@ def fast_motion_warning(
 
 
 class GroundCheck:
-    """Collects the heights of planted feet over those at rest, block by block.
+    """Collects how far planted feet are above their height at rest, block by block.
 
     Only captures of rigs that stand upright on 0 of the up axis at rest are checked.
     """
@@ -104,8 +104,8 @@ class GroundCheck:
             if low < float(heights.min()) < high:
                 self._leg_length = upright_leg_length(rig)
 
-    def through(self, blocks: Iterable[Motion]) -> Iterator[Motion]:
-        """Yield blocks, and add each."""
+    def recorded_blocks(self, blocks: Iterable[Motion]) -> Iterator[Motion]:
+        """Yield the blocks, and record each of them."""
         for block in blocks:
             self.add(block)
             yield block
@@ -138,7 +138,7 @@ class GroundCheck:
     def notices(self, reported_codes: Sequence[str]) -> list[Fault]:
         """Return a warning if all planted feet are far from the ground (MOT209)."""
         heights = np.concatenate(self._heights) if self._heights else np.zeros(0)
-        if len(heights) < MIN_PLANTED_FEET or EXPLAINED_CODES & set(reported_codes):
+        if len(heights) < MIN_PLANTED_FEET or EXPLAINING_CODES & set(reported_codes):
             return []
         offset, size = float(np.median(heights)), rest_size(self._rig)
         spread = np.percentile(heights, 95) - np.percentile(heights, 5)

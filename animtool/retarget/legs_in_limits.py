@@ -155,13 +155,15 @@ def solve_within_limits(
     foot_arrays = (feet_paths.ankles, feet_paths.rotations, feet_paths.is_planted)
     legs = [_Leg(target, *leg) for leg in zip(sides, tracks, *foot_arrays, strict=True)]
     hips = feet_paths.hips.copy()
-    angles = [leg.solve_swivel(hips, fps) for leg in legs]
+    swivels = [leg.solve_swivel(hips, fps) for leg in legs]
     for attempt in range(MAX_HIP_ITERATIONS):
-        depths = [leg.ankle_depth(hips, a) for leg, a in zip(legs, angles, strict=True)]
+        depths = [
+            leg.ankle_depth(hips, a) for leg, a in zip(legs, swivels, strict=True)
+        ]
         depth = np.max(depths, axis=0)
         if depth.max() < MAX_FOOT_DEPTH * target.size:
             break
         hips[:, up_index(target.rig)] += upper_envelope(depth, RISE_SECONDS * fps)
         if attempt == MAX_HIP_ITERATIONS - 1:
-            angles = [leg.solve_swivel(hips, fps) for leg in legs]
-    return hips, angles
+            swivels = [leg.solve_swivel(hips, fps) for leg in legs]
+    return hips, swivels

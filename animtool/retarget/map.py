@@ -81,10 +81,10 @@ def _map_lines(joint_map: JointMap, source: Rig, target: Rig) -> Iterator[str]:
     yield "others: none  # auto maps joints that are not named here, as without a file"
     yield "joints:"
     chain_joints = {j for chain in joint_map.chains for j in chain.target}
-    chains = {chain.target[0]: chain for chain in joint_map.chains}
+    chain_by_first_target = {chain.target[0]: chain for chain in joint_map.chains}
     for pair in joint_map.pairs:
-        if pair.target in chains:
-            chain = chains[pair.target]
+        if pair.target in chain_by_first_target:
+            chain = chain_by_first_target[pair.target]
             source_text = _flow_list([source_names[j] for j in chain.source])
             target_text = _flow_list([target_names[j] for j in chain.target])
         elif pair.target in chain_joints:

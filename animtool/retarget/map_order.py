@@ -24,9 +24,9 @@ def map_order_warnings(
             ("source", entry.source, source),
             ("target", entry.target, target),
         ):
-            texts = _chain_order_texts(chain, rig)
-            if texts:
-                yield _order_warning(file, ("joints", i, side), *texts)
+            message_and_hint = _chain_order_texts(chain, rig)
+            if message_and_hint:
+                yield _order_warning(file, ("joints", i, side), *message_and_hint)
     for upper, lower in _exchanged_pairs(entries, source, target):
         upper_source, upper_target = _top_joints(entries[upper], source, target)
         lower_source, lower_target = _top_joints(entries[lower], source, target)
@@ -68,14 +68,14 @@ def _exchanged_pairs(
 
     Each entry is in one pair: of several, those farthest apart are paired first.
     """
-    tops = [_top_joints(entry, source, target) for entry in entries]
+    top_joints = [_top_joints(entry, source, target) for entry in entries]
     entries_by_source: dict[int, list[int]] = {}
-    for i, (source_top, _) in enumerate(tops):
+    for i, (source_top, _) in enumerate(top_joints):
         entries_by_source.setdefault(source_top, []).append(i)
-    ancestors = [set(target.upwards(target_top)[1:]) for _, target_top in tops]
+    ancestors = [set(target.upwards(target_top)[1:]) for _, target_top in top_joints]
     candidates = [
         (-distance, upper, lower)
-        for lower, (source_top, target_top) in enumerate(tops)
+        for lower, (source_top, target_top) in enumerate(top_joints)
         for distance, joint in enumerate(source.upwards(source_top))
         if distance
         for upper in entries_by_source.get(joint, ())

@@ -71,7 +71,7 @@ ROUNDING_TOLERANCE = 1e-13
 class _PosedFrames:
     """The target's pose in F frames as transferred, before its feet are planted."""
 
-    source: FloatArray  # source joints in the target's axes (F, J, 3) [m]
+    source_positions: FloatArray  # in the target's axes (F, J, 3) [m]
     # Balls of the source's feet, or ankles, in these axes (F, L, 3) [m].
     balls: FloatArray
     rotations: LocalRotations
@@ -153,8 +153,8 @@ class Retargeting:
             props.moving_props(transfer) if props is not None and arms else (),
         )
         # Offset of gripped props (3,) [m].
-        ground = ankle_heights, transfer.scale, up_index(transfer.target.rig)
-        self.ground_offset = AnkleHeights.ground_offset(*ground)
+        ground_arguments = ankle_heights, transfer.scale, up_index(transfer.target.rig)
+        self.ground_offset = AnkleHeights.ground_offset(*ground_arguments)
         contacts = tuple(foot.contacts for foot in feet)
         self.contact_frames = ContactFrames(legs, contacts, placed_feet, hand_goals)
         self._meter = FitMeter(transfer, joint_map, self.contact_frames)
@@ -175,7 +175,10 @@ class Retargeting:
             self._record_moving_joints(motion)
             block = self._pose_frames(motion, legs)
             rotations = block.rotations
-            source, target = block.source, (rotations.world, block.relative_positions)
+            source, target = (
+                block.source_positions,
+                (rotations.world, block.relative_positions),
+            )
             block_legs = [
                 LegTracks.of(transfer, side, source, block.balls[:, k], *target)
                 for k, side in enumerate(legs)
@@ -184,7 +187,12 @@ class Retargeting:
             block_arms = [ArmTracks.of(transfer, s, source, *target) for s in arms]
             arm_tracks.append(block_arms)
             hips.append(block.hips)
-            arrays = [block.source, rotations.local, rotations.world, block.bones]
+            arrays = [
+                block.source_positions,
+                rotations.local,
+                rotations.world,
+                block.bones,
+            ]
             self._spool.append([*arrays, block.relative_positions, block.balls])
             self._clamped_blocks.append(rotations.clamped_frames)
         self._hips = np.concatenate(hips)
@@ -210,7 +218,7 @@ class Retargeting:
     def _plant_feet(
         self, legs: str, tracks: Sequence[LegTracks], feet: Sequence[Foot], fps: float
     ) -> PlacedFeet:
-        """Return the planted feet; store hip positions and knee swivels that reach."""
+        """Return planted feet; store hip positions and knee swivels that reach them."""
         transfer = self.transfer
         up = up_index(transfer.target.rig)
         # The target's ground is the source's, scaled.
@@ -319,11 +327,13 @@ class Retargeting:
                 self._animated_channel(local, first_values[1]),
             )
 
-    def _animated_channel(self, values: FloatArray, first: FloatArray) -> Channel:
+    def _animated_channel(
+        self, values: FloatArray, first_values: FloatArray
+    ) -> Channel:
         """Return a channel: static if the source is, else with all joints animated."""
         if not self._is_animated:
-            return Channel.static(first, len(values))
-        return Channel(first, np.arange(values.shape[1]), values)
+            return Channel.static(first_values, len(values))
+        return Channel(first_values, np.arange(values.shape[1]), values)
 
     def _solve_legs(
         self,

@@ -80,7 +80,7 @@ class Preset:
 
     @property
     def full_names(self) -> frozenset[str]:
-        """All joint names of the convention, as spelled."""
+        """All joint names of the convention, in their original spelling."""
         return frozenset(
             name for names in self.names_by_role.values() for name in names
         )
@@ -107,14 +107,14 @@ def strip_common_prefix(names: Sequence[str]) -> list[str]:
     """Return names without namespaces and without their common prefix."""
     bare_names = [_NAMESPACE.sub("", name) or name for name in names]
     bare_names = [_PREFIX.sub("", name) for name in bare_names]
-    prefix_counts = Counter(
+    count_by_prefix = Counter(
         name[: separator.end()]
         for name in bare_names
         for separator in re.finditer(r"[ _.\-]+", name)
     )
     common_prefixes = [
         prefix
-        for prefix, count in prefix_counts.items()
+        for prefix, count in count_by_prefix.items()
         if count > max(_MIN_PREFIX_FRACTION * len(bare_names), 2)
         and _split_words(prefix)
         and not any(word.lower() in _SIDE_WORDS for word in _split_words(prefix))
@@ -148,7 +148,7 @@ def parse_names(names: Sequence[str], parents: IntArray) -> list[ParsedName]:
 
 
 def _strip_side_letter(name: str, partner_name: str) -> str:
-    """Remove the only letter that differs from a partner's name; "" for no partner."""
+    """Return a name without the letter that its partner's differs in; "" if not one."""
     letters = enumerate(zip(name, partner_name, strict=False))
     differing_indices = [i for i, (a, b) in letters if a != b]
     if len(name) != len(partner_name) or len(differing_indices) != 1:
@@ -244,7 +244,7 @@ def find_preset(name: str, where: str | None = None) -> Preset:
 def check_presets(
     *, preset: str | None = None, target_preset: str | None = None
 ) -> None:
-    """Raise if options of these names have unknown presets (MAP003)."""
+    """Raise if ``preset`` or ``target_preset`` is not a known preset (MAP003)."""
     refusals = RefusalCollector()
     for option, name in (("preset", preset), ("target_preset", target_preset)):
         with refusals.collect():
@@ -254,14 +254,16 @@ def check_presets(
 
 
 def _preset_hint(name: str) -> str:
-    """Return a hint with the presets that could be meant, or where all are listed.
+    """Return a hint that suggests similar presets, or says where all are listed.
 
     >>> _preset_hint("rigify"), _preset_hint("cmu")
     ("did you mean 'rigify_metarig'?", "did you mean 'cmu_bvh' or 'cmu_daz_bvh'?")
     """
     names = sorted(presets())
     word = name.casefold()
-    matches = [other for other in names if len(word) > 1 and word in other]
+    matches = [
+        preset_name for preset_name in names if len(word) > 1 and word in preset_name
+    ]
     if len(matches) > MAX_SUGGESTED_PRESETS or not matches:
         nearest = most_similar(name, names)
         matches = [] if nearest is None else [nearest]
@@ -272,7 +274,7 @@ def _preset_hint(name: str) -> str:
 
 
 def matched_name_count(preset: Preset, parsed_names: Sequence[ParsedName]) -> int:
-    """Return how many different names of joints a convention has."""
+    """Return how many distinct joint names belong to a convention."""
     name_keys = {name.name_key for name in parsed_names if name.kind != CONTROL}
     return len(name_keys & preset.roles_by_key.keys())
 
@@ -281,7 +283,7 @@ def best_preset(
     names: Sequence[str], parsed_names: Sequence[ParsedName]
 ) -> Preset | None:
     """Return the convention that matches most names; None if too few match any."""
-    scores = {
+    score_by_preset = {
         name: (
             # Full names, including prefixes, distinguish conventions that share words.
             matched_name_count(preset, parsed_names)
@@ -290,8 +292,8 @@ def best_preset(
         )
         for name, preset in presets().items()
     }
-    name = max(scores, key=lambda candidate: scores[candidate])
-    return presets()[name] if scores[name][0] >= _MIN_MATCHED_NAMES else None
+    name = max(score_by_preset, key=lambda candidate: score_by_preset[candidate])
+    return presets()[name] if score_by_preset[name][0] >= _MIN_MATCHED_NAMES else None
 
 
 def role_votes(
@@ -309,24 +311,30 @@ def role_votes(
         table, weight = common_roles, _WORD_WEIGHT
         if name.name_key in preset_roles:
             table, weight = preset_roles, 1.0
-        weights = dict.fromkeys(table.get(name.name_key, ()), weight)
-        if weights:
+        weight_by_role = dict.fromkeys(table.get(name.name_key, ()), weight)
+        if weight_by_role:
             other_roles = _limb_roles_by_key().get(name.name_key, ())
-            weights = dict.fromkeys(other_roles, _OTHER_CONVENTION_WEIGHT) | weights
+            weight_by_role = (
+                dict.fromkeys(other_roles, _OTHER_CONVENTION_WEIGHT) | weight_by_role
+            )
         suffix = f"_{name.side}" if name.side else ""
         # Sorted, since the order of a set differs between processes.
-        roles = [role for role in sorted(weights) if role + suffix in ROLES]
-        votes.append({role + suffix: weights[role] for role in roles})
+        roles = [role for role in sorted(weight_by_role) if role + suffix in ROLES]
+        votes.append({role + suffix: weight_by_role[role] for role in roles})
     return votes
 
 
 @cache
 def _limb_roles_by_key() -> Mapping[str, frozenset[str]]:
     """Return the limb roles that any convention assigns to each name key."""
-    roles: dict[str, set[str]] = {}
+    roles_by_key: dict[str, set[str]] = {}
     for preset in presets().values():
         for key, base_roles in preset.roles_by_key.items():
-            roles.setdefault(key, set()).update(base_roles & {*ARM_ROLES, *LEG_ROLES})
+            roles_by_key.setdefault(key, set()).update(
+                base_roles & {*ARM_ROLES, *LEG_ROLES}
+            )
     return {
-        key: frozenset(base_roles) for key, base_roles in roles.items() if base_roles
+        key: frozenset(base_roles)
+        for key, base_roles in roles_by_key.items()
+        if base_roles
     }

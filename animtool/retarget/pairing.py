@@ -103,12 +103,12 @@ def map_joints(
     """
     check_presets(preset=preset, target_preset=target_preset)
     file_map: ResolvedMap | None = None
-    order_warnings: tuple[Fault, ...] = ()
+    joint_order_warnings: tuple[Fault, ...] = ()
     file: MapFile | None = None
     if map_file is not None:
         file = map_file if isinstance(map_file, MapFile) else load_map(map_file)
         file_map = resolve_map(file, source, target)
-        order_warnings = tuple(map_order_warnings(file, file_map, source, target))
+        joint_order_warnings = tuple(map_order_warnings(file, file_map, source, target))
     uses_names = mode != "structure"
     find_roles = partial(find_anatomy, uses_names=uses_names)
     anatomies = (
@@ -142,7 +142,7 @@ def map_joints(
         raise OptionError(Fault("MAP004", message, hint=hint))
     used_joints = {pair.source for pair in pairs.values()}
     used_joints |= {j for chain in chains for j in chain.source}
-    fault_at = partial(_map_warning, file, file_map)
+    warning_at = partial(_located_map_warning, file, file_map)
     driven_joints = {*pairs, *(twist.target for twist in twists)}
     return JointMap(
         tuple(pairs[j] for j in sorted(pairs)),
@@ -154,16 +154,16 @@ def map_joints(
         (
             *anatomies[0].notices,
             *anatomies[1].notices,
-            *order_warnings,
-            *_crossed_side_warnings(rigs, anatomies, pairs.values(), fault_at),
+            *joint_order_warnings,
+            *_crossed_side_warnings(rigs, anatomies, pairs.values(), warning_at),
             *(
                 _leg_count_warnings(rigs, anatomies)
-                or _crossed_limb_warnings(rigs, anatomies, pairs.values(), fault_at)
+                or _crossed_limb_warnings(rigs, anatomies, pairs.values(), warning_at)
             ),
             *(
                 ()
                 if file is None
-                else _shifted_limb_warnings(rigs, anatomies, pairs, fault_at)
+                else _shifted_limb_warnings(rigs, anatomies, pairs, warning_at)
             ),
         ),
     )
@@ -173,7 +173,7 @@ def _crossed_side_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
     pairs: Iterable[JointPair],
-    fault_at: MapFaultFactory,
+    warning_at: MapFaultFactory,
 ) -> list[Fault]:
     """Return a warning if left joints are paired with right joints (MAP108)."""
     crossed_pairs, crossed_sources, other_sources = [], set(), set()
@@ -183,8 +183,8 @@ def _crossed_side_warnings(
         target_roles = anatomies[1].roles[pair.target]
         if {source_roles[-2:], target_roles[-2:]} == {"_l", "_r"}:
             crossed_targets.append(pair.target)
-            names = rigs[0].names[pair.source], rigs[1].names[pair.target]
-            crossed_pairs.append(f"{names[0]} to {names[1]}")
+            joint_names = rigs[0].names[pair.source], rigs[1].names[pair.target]
+            crossed_pairs.append(f"{joint_names[0]} to {joint_names[1]}")
             crossed_sources.add(pair.source)
         else:
             other_sources.add(pair.source)
@@ -198,13 +198,15 @@ def _crossed_side_warnings(
         joint = min(crossed_sources)
         partner = int(pair_sides(rigs[0].names, rigs[0].parents).partners[joint])
         if partner not in {joint, *crossed_sources, *other_sources}:
-            names = rigs[0].names[partner], rigs[0].names[joint]
-            hint = f"write {names[0]} in place of {names[1]}, which another joint "
-            hint += "follows too"
-    return [fault_at("MAP108", crossed_targets[0], message, hint)]
+            joint_names = rigs[0].names[partner], rigs[0].names[joint]
+            hint = (
+                f"write {joint_names[0]} in place of {joint_names[1]}, which another "
+            )
+            hint += "joint follows too"
+    return [warning_at("MAP108", crossed_targets[0], message, hint)]
 
 
-def _map_warning(
+def _located_map_warning(
     file: MapFile | None,
     file_map: ResolvedMap | None,
     code: str,
@@ -228,7 +230,7 @@ def _crossed_limb_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
     pairs: Iterable[JointPair],
-    fault_at: MapFaultFactory,
+    warning_at: MapFaultFactory,
 ) -> list[Fault]:
     """Return a warning if joints of an arm are paired with those of a leg (MAP114)."""
     limb_of_role = dict.fromkeys(ARM_ROLES, "arm") | dict.fromkeys(LEG_ROLES, "leg")
@@ -242,29 +244,31 @@ def _crossed_limb_warnings(
         ]
         if {*limbs} == {"arm", "leg"}:
             crossed_targets.append(pair.target)
-            names = rigs[0].names[pair.source], rigs[1].names[pair.target]
-            crossed_pairs.append(f"{names[0]} ({limbs[0]}) to {names[1]} ({limbs[1]})")
+            joint_names = rigs[0].names[pair.source], rigs[1].names[pair.target]
+            crossed_pairs.append(
+                f"{joint_names[0]} ({limbs[0]}) to {joint_names[1]} ({limbs[1]})"
+            )
     if not crossed_pairs:
         return []
     message = f"{counted(len(crossed_pairs), 'joint')} of {rigs[1].name!r} follow the "
     message += f"other kind of limb: {listed(crossed_pairs, 4)}"
     hint = "pair arms with arms and legs with legs in the map"
-    return [fault_at("MAP114", crossed_targets[0], message, hint)]
+    return [warning_at("MAP114", crossed_targets[0], message, hint)]
 
 
 def _shifted_limb_warnings(
     rigs: tuple[Rig, Rig],
     anatomies: tuple[Anatomy, Anatomy],
-    pairs: Mapping[int, JointPair],
-    fault_at: MapFaultFactory,
+    pair_by_target: Mapping[int, JointPair],
+    warning_at: MapFaultFactory,
 ) -> list[Fault]:
-    """Return a warning if a joint of a limb follows one that is another's (MAP115).
+    """Return a warning if a limb's joint follows that of another bone (MAP115).
 
-    ``pairs`` are by joint of the target.
+    ``pair_by_target`` has each pair by the index of its target joint.
     """
     joints_by_role = {role: j for j, role in enumerate(anatomies[1].roles) if role}
-    shifts = []
-    for pair in pairs.values():
+    shifted_limbs = []
+    for pair in pair_by_target.values():
         role = anatomies[0].roles[pair.source]
         target_role = anatomies[1].roles[pair.target]
         bones = (base_role(role), base_role(target_role))
@@ -275,24 +279,24 @@ def _shifted_limb_warnings(
         upper_joint = joints_by_role.get(role)
         if upper_joint is None or target_role not in anatomies[0].roles:
             continue
-        upper_pair = pairs.get(upper_joint)
+        upper_pair = pair_by_target.get(upper_joint)
         if upper_pair is None or upper_pair.source == pair.source:
-            shifts.append((pair, upper_joint, bones[0].replace("_", " ")))
-    if not shifts:
+            shifted_limbs.append((pair, upper_joint, bones[0].replace("_", " ")))
+    if not shifted_limbs:
         return []
-    pair, upper_joint, bone = shifts[0]
+    pair, upper_joint, bone = shifted_limbs[0]
     upper_name, target_name = (rigs[1].names[j] for j in (upper_joint, pair.target))
     source_name = rigs[0].names[pair.source]
     message = f"{target_name!r} follows the {bone} {source_name!r}, "
-    if upper_joint in pairs:
+    if upper_joint in pair_by_target:
         message += f"as {upper_name!r} does"
     else:
         message += f"although {upper_name!r} follows nothing"
-    other_names = [repr(rigs[1].names[shift[0].target]) for shift in shifts[1:]]
+    other_names = [repr(rigs[1].names[shift[0].target]) for shift in shifted_limbs[1:]]
     if other_names:
         message += f"; the same holds for {listed(other_names, 4)}"
     hint = f"map {source_name} to {upper_name}, and the joints below it likewise"
-    return [fault_at("MAP115", pair.target, message, hint)]
+    return [warning_at("MAP115", pair.target, message, hint)]
 
 
 def _leg_count_warnings(
@@ -352,11 +356,13 @@ class _PairCollector:
     def add_same_names(self) -> None:
         """Pair every target joint with the source joint of the same name."""
         source, target = self.rigs
-        names = {name: j for j, name in enumerate(source.names)}
+        joint_by_name = {name: j for j, name in enumerate(source.names)}
         for j, name in enumerate(target.names):
             is_used = j in self.pairs or j in self.ignored_joints[1]
-            if name in names and not is_used:
-                self.pairs[j] = JointPair(names[name], j, "", RoleSource.NAME, 1.0)
+            if name in joint_by_name and not is_used:
+                self.pairs[j] = JointPair(
+                    joint_by_name[name], j, "", RoleSource.NAME, 1.0
+                )
 
     def add_remaining_names(self) -> None:
         """Pair joints of equal names that are unpaired on both skeletons."""
@@ -373,7 +379,7 @@ class _PairCollector:
                 self.pairs[joint] = JointPair(other, joint, "", RoleSource.NAME, 1.0)
 
     def add_role(self, role: str, mode: MapMode) -> None:
-        """Pair the target joints of a role that are unpaired with its source joints.
+        """Pair the unpaired target joints of a role with its source joints.
 
         The mode ``names`` only uses joints whose name tells the role; ``rename`` pairs
         them one to one and uses no source joint twice.

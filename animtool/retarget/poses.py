@@ -111,13 +111,13 @@ class LocalRotations:
         clamped_frames = {j: mask[frames] for j, mask in self.clamped_frames.items()}
         return LocalRotations(self.local[frames], self.world[frames], clamped_frames)
 
-    def replace_frames(self, frames: IntArray, other: LocalRotations) -> None:
+    def replace_frames(self, frames: IntArray, replacement: LocalRotations) -> None:
         """Overwrite rotations and clamp masks in the frames of these indices."""
-        self.local[frames], self.world[frames] = other.local, other.world
-        for j in {*self.clamped_frames, *other.clamped_frames}:
+        self.local[frames], self.world[frames] = replacement.local, replacement.world
+        for j in {*self.clamped_frames, *replacement.clamped_frames}:
             no_frames = np.zeros(len(self.local), np.bool_)
             mask = self.clamped_frames.setdefault(j, no_frames)
-            mask[frames] = other.clamped_frames.get(j, False)
+            mask[frames] = replacement.clamped_frames.get(j, False)
 
 
 def local_rotations(

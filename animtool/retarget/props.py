@@ -36,23 +36,26 @@ class PropMotion:
     rotations: FloatArray  # (F, 4)
 
     def find_gripped_frames(
-        self, wrist: FloatArray, arm: float, fps: float
+        self, wrist: FloatArray, arm_length: float, fps: float
     ) -> BoolArray:
         """Return a mask of the frames in which a hand grips the prop ``(F,)``.
 
-        ``wrist`` ``(F, 3)`` is that of the source, and ``arm`` the length of its arm,
-        both [m].
+        ``wrist`` ``(F, 3)`` is that of the source, and ``arm_length`` the length of its
+        arm, both [m].
         """
-        if len(wrist) < 3 or arm <= 0:
+        if len(wrist) < 3 or arm_length <= 0:
             return np.zeros(len(wrist), np.bool_)
         relative_path = self.in_prop_frame(wrist)
         smooth_path = gaussian_smooth(relative_path, SMOOTHING_SECONDS * fps)
         speed = np.gradient(smooth_path, axis=0) * fps
-        is_steady = np.linalg.norm(speed, axis=1) < GRIP_SPEED * arm
-        is_near = np.linalg.norm(relative_path, axis=1) < GRIP_DISTANCE * arm
+        is_steady = np.linalg.norm(speed, axis=1) < GRIP_SPEED * arm_length
+        is_near = np.linalg.norm(relative_path, axis=1) < GRIP_DISTANCE * arm_length
         is_gripped = remove_short_runs(is_steady & is_near, fps)
         for start, end in runs(is_gripped):
-            if np.ptp(self.positions[start:end], axis=0).max() < MIN_PROP_MOTION * arm:
+            if (
+                np.ptp(self.positions[start:end], axis=0).max()
+                < MIN_PROP_MOTION * arm_length
+            ):
                 is_gripped[start:end] = False
         return is_gripped
 
@@ -69,7 +72,7 @@ class PropTracks:
         self._times: list[Channel] = []
 
     def record_times(self, blocks: Iterator[Motion]) -> Iterator[Motion]:
-        """Yield blocks, recording their track times."""
+        """Yield the blocks, and record their track times."""
         for block in blocks:
             assert block.track_times is not None
             self._times.append(block.track_times)

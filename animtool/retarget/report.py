@@ -99,7 +99,7 @@ class FitMeter:
         self._angle_statistics = 0.0, 0, 0.0  # sum, count and largest [rad]
         self._reach_error, self._hand_error = math.nan, 0.0
         # Per-frame values by score.
-        self._frame_values: dict[str, list[FloatArray]] = {}
+        self._frame_values_by_score: dict[str, list[FloatArray]] = {}
         self._worst_by_frame: dict[str, FloatArray] = {}
         # Largest accelerations of both so far, and the last frames of both.
         self._max_accelerations = np.zeros(2)
@@ -171,7 +171,7 @@ class FitMeter:
 
     def _add_score(self, score: str, values: FloatArray) -> None:
         """Append the per-frame values ``(F,)`` of a score in one block."""
-        self._frame_values.setdefault(score, []).append(values)
+        self._frame_values_by_score.setdefault(score, []).append(values)
 
     def _both_skeletons(
         self, target: FloatArray, source: FloatArray
@@ -241,16 +241,21 @@ class FitMeter:
         Ignored errors were accepted on request.
         """
         report = self.report(clamped_fractions)
-        values = {
-            name: np.concatenate(blocks) for name, blocks in self._frame_values.items()
+        values_by_score = {
+            name: np.concatenate(blocks)
+            for name, blocks in self._frame_values_by_score.items()
         } | self._worst_by_frame
-        if "acceleration" in values:
+        if "acceleration" in values_by_score:
             # Second differences belong to their middle frame.
             source_max_acceleration = max(float(self._max_accelerations[1]), 1e-300)
-            acceleration_ratios = values["acceleration"] / source_max_acceleration
-            values["acceleration"] = np.pad(acceleration_ratios, 1)
+            acceleration_ratios = (
+                values_by_score["acceleration"] / source_max_acceleration
+            )
+            values_by_score["acceleration"] = np.pad(acceleration_ratios, 1)
         source_values = {"drift": report.source_drift_max}
-        return assess_take(fit_scores(report), values, source_values, ignored_errors)
+        return assess_take(
+            fit_scores(report), values_by_score, source_values, ignored_errors
+        )
 
     def report(self, clamped_fractions: Mapping[int, float]) -> RetargetReport:
         """Return the fit scores of the frames so far.
@@ -296,7 +301,10 @@ class FitMeter:
         )
         angle_sum, angle_count, max_angle = self._angle_statistics
         acceleration, source_acceleration = self._max_accelerations.tolist()
-        names, source_names = transfer.target.rig.names, transfer.source.rig.names
+        target_names, source_names = (
+            transfer.target.rig.names,
+            transfer.source.rig.names,
+        )
         joints = transfer.target.rig.joints
         placed_feet = contact_frames.placed_feet
         return RetargetReport(
@@ -315,11 +323,13 @@ class FitMeter:
             max_angle if angle_count else math.nan,
             acceleration / source_acceleration if source_acceleration > 0 else math.nan,
             0.0 if placed_feet is None else placed_feet.max_lowering,
-            {names[j]: fraction for j, fraction in clamped_fractions.items()},
+            {target_names[j]: fraction for j, fraction in clamped_fractions.items()},
             _mean_clamped(joint_map, clamped_fractions),
             tuple(source_names[j] for j in joint_map.unmapped_source),
             tuple(
-                names[j] for j in joint_map.unmapped_target if joints[j].driven is None
+                target_names[j]
+                for j in joint_map.unmapped_target
+                if joints[j].driven is None
             ),
         )
 
@@ -329,7 +339,7 @@ def fit_scores(report: RetargetReport) -> PassScores:
     length, fraction = ScoreUnit.LENGTH, ScoreUnit.FRACTION
     unmapped_count, mean_clamped = len(report.unmapped_source), report.held_mean
     unmapped_fraction = unmapped_count / max(unmapped_count + report.pairs, 1)
-    values = (
+    score_rows = (
         ("drift", report.drift_max, length, MAX_DRIFT, 0.0),
         ("soles", report.sole_error, length, MAX_SOLE_ERROR, 0.0),
         ("hands", report.reach_error, fraction, MAX_REACH_ERROR, 0.0),
@@ -338,14 +348,18 @@ def fit_scores(report: RetargetReport) -> PassScores:
         ("limits", mean_clamped, fraction, MAX_CLAMPED_FRACTION, 0.0),
         ("not mapped", unmapped_fraction, fraction, MAX_UNMAPPED_FRACTION, 0.0),
     )
-    names = {
+    joints_by_description = {
         "stopped by their limits": tuple(report.held),
         "not mapped, of the source": report.unmapped_source,
         "not mapped, of the rig": report.unmapped_target,
     }
     return PassScores(
-        tuple(Score(*value) for value in values),
-        {score_name: joints for score_name, joints in names.items() if joints},
+        tuple(Score(*value) for value in score_rows),
+        {
+            score_name: joints
+            for score_name, joints in joints_by_description.items()
+            if joints
+        },
     )
 
 

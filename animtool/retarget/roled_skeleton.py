@@ -54,7 +54,7 @@ class RoledSkeleton:
     def of(
         rig: Rig, roles: tuple[str, ...], pose: FloatArray | None = None
     ) -> RoledSkeleton:
-        """Build from a rig at rest, or posed by local rotations ``(J, 4)``."""
+        """Return the skeleton of a rig at rest, or posed by rotations ``(J, 4)``."""
         rest = rest_world(rig)
         if pose is not None:
             rest = forward_kinematics(rig, rig.rest_translations[None], pose[None])
@@ -143,7 +143,7 @@ class RoledSkeleton:
 
     @property
     def facing_axes(self) -> FloatArray | None:
-        """Rows left, up and forward of the upright body ``(3, 3)``; None if unknown."""
+        """Left, up and forward axes of the upright body as rows ``(3, 3)``, or None."""
         directions = []
         for pair in (("thigh_l", "thigh_r"), ("upper_arm_l", "upper_arm_r")):
             left_side, right_side = map(self.first_joint, pair)

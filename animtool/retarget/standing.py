@@ -272,7 +272,7 @@ def _standing_axis(
 
 
 def _other_is_longer(rig: Rig, motion: Motion) -> bool:
-    """Return whether any sampled pose is taller along the other axis than along up."""
+    """Return whether any sampled pose is longer along the other axis than along up."""
     if not rig.joints or not motion.frames:
         return False
     sampled_frames = np.linspace(0, motion.frames - 1, FIRST_SAMPLE_COUNT).astype(int)
@@ -439,8 +439,10 @@ def unit_warnings(rig: Rig, file_format: object) -> list[Fault]:
     better_unit = fitting_unit(rig.names, size, rig.meters_per_unit)
     if better_unit is None or file_format not in SIZED_FORMATS:
         return []
-    texts = size_warning_texts(size, rig.meters_per_unit, better_unit, str(file_format))
-    return [warning("MOT213", *texts)]
+    message_and_hint = size_warning_texts(
+        size, rig.meters_per_unit, better_unit, str(file_format)
+    )
+    return [warning("MOT213", *message_and_hint)]
 
 
 def _other_axis(up: UpAxis) -> UpAxis:

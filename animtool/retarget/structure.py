@@ -194,9 +194,9 @@ class SkeletonTree:
 
     def widest_branching(self, path: Sequence[int]) -> tuple[int, int]:
         """Return the joint of a path with the most branches, and their number."""
-        counts = [len(self.limb_children(j)) for j in path]
-        largest = max(counts)
-        return path[counts.index(largest)], largest
+        branch_counts = [len(self.limb_children(j)) for j in path]
+        largest = max(branch_counts)
+        return path[branch_counts.index(largest)], largest
 
 
 def find_limb_pairs(
@@ -269,15 +269,19 @@ def _leg_score(body: SkeletonTree, legs: SubtreePair, arms: SubtreePair) -> floa
     ) / max(body.size, 1e-30)
 
 
-def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray | None:
+def find_up_direction(
+    body: SkeletonTree, tip_by_limb: Mapping[str, int]
+) -> FloatArray | None:
     """Return the up direction of a standing body ``(3,)``; None if it does not stand.
 
     Limbs are given by their lowest joints: ``leg_l``, ``arm_r`` …
     """
     positions = body.positions
-    if len(tips) < 4:
+    if len(tip_by_limb) < 4:
         return None
-    legs, arms = ([tips[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm"))
+    legs, arms = (
+        [tip_by_limb[f"{limb}_{side}"] for side in SIDES] for limb in ("leg", "arm")
+    )
     hips, chest = body.lowest_common_ancestor(legs), body.lowest_common_ancestor(arms)
     trunk = positions[chest] - positions[hips]
     # Toes and hands point anywhere; mean limb positions are more reliable.
@@ -296,7 +300,7 @@ def find_up_direction(body: SkeletonTree, tips: Mapping[str, int]) -> FloatArray
 
 def find_left_direction(
     body: SkeletonTree,
-    tips: Mapping[str, int],
+    tip_by_limb: Mapping[str, int],
     up: FloatArray | None,
     *,
     is_rest_pose: bool,
@@ -309,8 +313,8 @@ def find_left_direction(
     forward = np.array([0.0, 0.0, 1.0] if up_index == 1 else [0.0, -1.0, 0.0])
     up_axis = np.eye(3)[up_index] * np.sign(up[up_index])
     feet: FloatArray = np.zeros(3)
-    for name in sorted({"leg_l", "leg_r"} & tips.keys()):
-        toe = tips[name]
+    for name in sorted({"leg_l", "leg_r"} & tip_by_limb.keys()):
+        toe = tip_by_limb[name]
         foot_bone = body.positions[toe] - body.positions[body.rig.joints[toe].parent]
         tip = body.last_bones[toe] if is_rest_pose else np.zeros(3)
         for bone in (foot_bone, tip):

@@ -148,11 +148,11 @@ def _hip_pair(
 ) -> tuple[int, int] | None:
     """Return the left and right joint above the feet that are nearest to the root."""
     rest_positions = rest_world(rig).positions[0]
-    partners = {int(left): int(sides.partners[left]) for left in sides.left}
+    partner_by_left = {int(left): int(sides.partners[left]) for left in sides.left}
     for left in sorted(feet):
         # Joints nearest to the root may be at its position.
-        for hip in [j for j in reversed(rig.upwards(left)) if j in partners]:
-            offset = rest_positions[hip] - rest_positions[partners[hip]]
+        for hip in [j for j in reversed(rig.upwards(left)) if j in partner_by_left]:
+            offset = rest_positions[hip] - rest_positions[partner_by_left[hip]]
             if np.linalg.norm(offset) > min_width:
-                return hip, partners[hip]
+                return hip, partner_by_left[hip]
     return None

@@ -73,9 +73,9 @@ from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.placed import at_origin
 from animtool.rig.skeleton import Rig
 
-# Bones of a complete limb.
 # Limbs in the same pose at rest differ by less [deg]; an A-pose differs by 30 or more.
 MAX_REST_DIFFERENCE = 20.0
+# Bones of a complete limb.
 LIMB_BONES = {"arm": ("upper_arm", "forearm", "hand"), "leg": ("thigh", "shin", "foot")}
 # Minimum fraction of a take's moving joints that are paired [1].
 MIN_PAIRED_FRACTION = 1 / 3
@@ -115,8 +115,8 @@ def insufficient_pairs_fault(
     joints = counted(len(relevant_joints), "moving joint")
     message = f"{len(paired_joints)} of {joints} of {source.name!r} are paired"
     if limbs and not intact_limbs:
-        names = listed(sorted(limbs), MAX_LISTED_LIMBS)
-        message += f", and none of its limbs ({names})"
+        limbs_text = listed(sorted(limbs), MAX_LISTED_LIMBS)
+        message += f", and none of its limbs ({limbs_text})"
     hint = "write a map file, or retarget what is paired with "
     hint += f"{argument('force_fit', True)}, in a pass force_fit: true"
     return Fault("MAP010", message, hint=hint)
@@ -142,11 +142,11 @@ def zero_length_fault(
     bones = sorted(j for j in limb_joints if has_collapsed[j])
     if not bones:
         return None
-    names = listed([repr(source.names[j]) for j in bones], MAX_LISTED_LIMBS)
+    bones_text = listed([repr(source.names[j]) for j in bones], MAX_LISTED_LIMBS)
     message = (
         f"{counted(len(bones), 'limb bone')} of {source.name!r} have zero length in "
         f"every frame, but up to {length_text(float(lengths[bones].max()))} at rest: "
-        f"{names} are at their parents' positions"
+        f"{bones_text} are at their parents' positions"
     )
     hint = (
         f"for a BVH, {argument('source.positions', 'offsets')} uses the OFFSETs; "
@@ -158,13 +158,15 @@ def zero_length_fault(
 
 def _complete_limbs(roles: tuple[str, ...]) -> dict[str, list[int]]:
     """Return the joints of a skeleton's complete limbs, by name."""
-    limbs = {}
+    joints_by_limb = {}
     for name, bones in LIMB_BONES.items():
         for side, text in (("l", "left"), ("r", "right")):
             bone_roles = [f"{bone}_{side}" for bone in bones]
             if {*bone_roles} <= {*roles}:
-                limbs[f"{text} {name}"] = [roles.index(role) for role in bone_roles]
-    return limbs
+                joints_by_limb[f"{text} {name}"] = [
+                    roles.index(role) for role in bone_roles
+                ]
+    return joints_by_limb
 
 
 def _body_joints(rig: Rig, roles: tuple[str, ...]) -> list[int]:
@@ -243,7 +245,7 @@ def retarget_stream(
     retargeting = Retargeting(
         transfer,
         joint_map,
-        ground_check.through(chain([first_block], blocks)),
+        ground_check.recorded_blocks(chain([first_block], blocks)),
         float(stream.fps / stream.step),
         lock=not options.free_feet,
         plants_similar_legs=plants_similar_legs,
@@ -267,7 +269,7 @@ def retarget_stream(
     return retargeting, joint_map, notices
 
 
-_DEFAULTS = RetargetOptions()
+_DEFAULT_OPTIONS = RetargetOptions()
 
 
 def _pair_joints(
@@ -312,8 +314,8 @@ def _unused_option_warnings(
         return []
     unused_names = []
     for name in ("by", "preset", "target_preset"):
-        if getattr(options, name) != getattr(_DEFAULTS, name):
-            other_options = replace(options, **{name: getattr(_DEFAULTS, name)})
+        if getattr(options, name) != getattr(_DEFAULT_OPTIONS, name):
+            other_options = replace(options, **{name: getattr(_DEFAULT_OPTIONS, name)})
             other_map = _pair_joints(source, target, other_options, positions)
             if all(
                 getattr(joint_map, part) == getattr(other_map, part)
@@ -322,9 +324,11 @@ def _unused_option_warnings(
                 unused_names.append(name)
     if not unused_names:
         return []
-    values = [argument(name, getattr(options, name)) for name in unused_names]
-    verb = "has" if len(values) == 1 else "have"
-    message = f"{' and '.join(values)} {verb} no effect: only the joints that this map "
+    option_texts = [argument(name, getattr(options, name)) for name in unused_names]
+    verb = "has" if len(option_texts) == 1 else "have"
+    message = (
+        f"{' and '.join(option_texts)} {verb} no effect: only the joints that this map "
+    )
     message += "names are paired"
     lines: tuple[int, ...] = ()
     if "others" in file.model.model_fields_set:
@@ -393,8 +397,8 @@ def _fit_warnings(
 
 def _other_rest_warnings(transfer: Transfer, joint_map: JointMap) -> list[Fault]:
     """Return a warning if limbs at rest differ, although rests are equated (MAP110)."""
-    aimed = Transfer.of(transfer.source, transfer.target, joint_map)
-    angles = so3.angle_between(transfer.rest_alignment, aimed.rest_alignment)
+    aimed_transfer = Transfer.of(transfer.source, transfer.target, joint_map)
+    angles = so3.angle_between(transfer.rest_alignment, aimed_transfer.rest_alignment)
     bones = {bone for limb in LIMB_BONES.values() for bone in limb[:2]}
     is_limb = [base_role(role) in bones for role in transfer.target.roles]
     angles = np.degrees(np.where(is_limb, angles, 0.0))
@@ -402,9 +406,9 @@ def _other_rest_warnings(transfer: Transfer, joint_map: JointMap) -> list[Fault]
         return []
     j = int(angles.argmax())
     source_joint = int(transfer.source_joints[j])
-    names = transfer.source.rig.names[source_joint], transfer.target.rig.names[j]
-    message = f"with {argument('rest', 'rig')}, {names[0]!r} of the take and "
-    message += f"{names[1]!r} of the rig count as equal at rest, but differ by "
+    joint_names = transfer.source.rig.names[source_joint], transfer.target.rig.names[j]
+    message = f"with {argument('rest', 'rig')}, {joint_names[0]!r} of the take and "
+    message += f"{joint_names[1]!r} of the rig count as equal at rest, but differ by "
     message += f"{angles[j]:.0f}°, as an A-pose from a T-pose"
     return [warning("MAP110", message, f"leave out {argument('rest')}")]
 
@@ -435,19 +439,29 @@ def _run_pass(stream: TakeStream, options: Any, context: PassContext) -> TakeStr
     rig_path = _rig_path(options)
     with file_of_kind(rig_path, "rig", "rig"):
         rig = at_origin(Rig.load(context.folder / rig_path))
-    names = RetargetOptions.__dataclass_fields__
-    settings = RetargetOptions(**{name: getattr(options, name) for name in names})
-    if settings.map is not None:
-        settings = replace(settings, map=context.folder / settings.map)
-    props = PropTracks(stream.tracks) if stream.tracks and settings.hold_hands else None
+    option_names = RetargetOptions.__dataclass_fields__
+    retarget_options = RetargetOptions(
+        **{name: getattr(options, name) for name in option_names}
+    )
+    if retarget_options.map is not None:
+        retarget_options = replace(
+            retarget_options, map=context.folder / retarget_options.map
+        )
+    props = (
+        PropTracks(stream.tracks)
+        if stream.tracks and retarget_options.hold_hands
+        else None
+    )
     if props is not None:
         stream = replace(stream, blocks=props.record_times(stream.blocks))
     # Other tracks pass through; frames stay unchanged.
     passthrough = PassthroughTracks(stream) if stream.tracks else None
     source = stream if passthrough is None else passthrough.stream
-    retargeting, _, notices = retarget_stream(source, rig, settings, props=props)
+    retargeting, _, notices = retarget_stream(
+        source, rig, retarget_options, props=props
+    )
     context.notices.extend(notices)
-    blocks = checked_blocks(retargeting, settings, stream.notices)
+    blocks = checked_blocks(retargeting, retarget_options, stream.notices)
     retargeted_stream = replace(
         source,
         rig=rig,
@@ -484,18 +498,18 @@ def checked_blocks(
     path: the file that the warnings refer to.
     """
     yield from retargeting.blocks()
-    file = None if path is None else str(path)
+    file_text = None if path is None else str(path)
     if retargeting.ground_check is not None:
         ground_notices = retargeting.ground_check.notices([n.code for n in notices])
-        notices += [replace(notice, path=file) for notice in ground_notices]
+        notices += [replace(notice, path=file_text) for notice in ground_notices]
     stopped_joints = retargeting.stopped_by_rest_frame
     if stopped_joints:
         message = f"with frame {options.rest} as the rest pose, limits stop "
-        names = listed([repr(name) for name in stopped_joints], 4)
-        message += f"{names} in nearly all frames"
+        joints_text = listed([repr(name) for name in stopped_joints], 4)
+        message += f"{joints_text} in nearly all frames"
         hint = "choose a frame in which the person stands still in the rest pose of "
         hint += f"the rig, or leave out {argument('rest')}"
-        notices.append(Fault("MAP110", message, file, (), hint, Severity.WARNING))
+        notices.append(Fault("MAP110", message, file_text, (), hint, Severity.WARNING))
     if options.warn_above is None:
         return
     for score in fit_scores(retargeting.report()).scores:
@@ -503,7 +517,9 @@ def checked_blocks(
             good_text = replace(score, value=score.usual).text
             message = f"{score.name} {score.text}; a good take has up to {good_text}"
             hint = "the report names the joints; check limits, map and rest pose"
-            notices.append(Fault("MAP107", message, file, (), hint, Severity.WARNING))
+            notices.append(
+                Fault("MAP107", message, file_text, (), hint, Severity.WARNING)
+            )
 
 
 def _check_warn_above(options: Any) -> None:

@@ -222,11 +222,13 @@ def equal_name_pairs(
 ) -> list[tuple[int, int]]:
     """Return pairs of otherwise unmapped joints with equal names, such as tails."""
     used_joints = {*source_joints.tolist()}
-    names = {name: j for j, name in enumerate(source.names)}
+    joint_by_name = {name: j for j, name in enumerate(source.names)}
     return [
-        (joint, names[name])
+        (joint, joint_by_name[name])
         for joint, name in enumerate(target.names)
-        if source_joints[joint] < 0 and name in names and names[name] not in used_joints
+        if source_joints[joint] < 0
+        and name in joint_by_name
+        and joint_by_name[name] not in used_joints
     ]
 
 

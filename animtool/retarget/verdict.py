@@ -30,7 +30,7 @@ LIKELY_SCALES = (1 / 9, 9.0)
 
 
 def is_likely_scale(scale: float) -> bool:
-    """Return whether rig and take differ in size by less than units do."""
+    """Return whether the sizes of rig and take are too similar for different units."""
     smallest, largest = LIKELY_SCALES
     return smallest <= scale <= largest
 
@@ -118,31 +118,31 @@ class Verdict:
 
 def assess_take(
     scores: PassScores,
-    values: Mapping[str, FloatArray],
-    source_values: Mapping[str, float],
+    values_by_score: Mapping[str, FloatArray],
+    source_value_by_score: Mapping[str, float],
     ignored_errors: Sequence[Fault] = (),
 ) -> Verdict:
     """Return whether a take is usable, and which scores and frames to check.
 
-    ``scores`` are those of the full take; ``values`` ``(F,)`` are per frame, of scores
-    that vary, and ``source_values`` those of the source, where they can be measured.
-    Ignored errors were accepted on request.
+    ``scores`` are those of the full take; ``values_by_score`` ``(F,)`` are per frame,
+    of scores that vary, and ``source_value_by_score`` those of the source, where they
+    can be measured. Ignored errors were accepted on request.
     """
     if ignored_errors:
         error_reasons = tuple(VerdictReason(fault.message) for fault in ignored_errors)
         return Verdict(TakeStatus.UNUSABLE, error_reasons)
     scores_by_name = {score.name: score for score in scores.scores}
-    limbs = scores_by_name["limbs"]
-    if limbs.value > MAX_LIMB_DEVIATION:
-        return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limbs.text),))
+    limb_score = scores_by_name["limbs"]
+    if limb_score.value > MAX_LIMB_DEVIATION:
+        return Verdict(TakeStatus.UNUSABLE, (VerdictReason("limbs", limb_score.text),))
     reasons: list[tuple[float, VerdictReason]] = []
     for score in scores.scores:
         bound = score.ideal + CHECK_FACTOR * (score.usual - score.ideal)
-        source_value = source_values.get(score.name, math.nan)
+        source_value = source_value_by_score.get(score.name, math.nan)
         if not math.isnan(source_value):
             bound = max(bound, source_value)
         if score.value > bound:
-            is_above_bound = values.get(score.name, np.zeros(0)) > bound
+            is_above_bound = values_by_score.get(score.name, np.zeros(0)) > bound
             frames = merge_runs(runs(is_above_bound), MAX_JOINED_GAP)
             spans = tuple((first, end - 1) for first, end in frames)
             reason = VerdictReason(score.name, score.text, spans)

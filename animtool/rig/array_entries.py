@@ -53,7 +53,7 @@ class ArrayReader:
     def read_array(
         self,
         location: Location,
-        text: str,
+        reference_text: str,
         role: str,
         shape: ArrayShape,
         part_count: int | None = None,
@@ -61,7 +61,7 @@ class ArrayReader:
         """Return the array of an entry at a location, and record the array's faults."""
         key = _ROLE_KEYS.get(role, role)
         location = (*location, key)
-        file_name, array_key = split_reference(text, key)
+        file_name, array_key = split_reference(reference_text, key)
         path = self.paths_by_name.get(file_name)
         path = path or resolve_reference(
             self.document, location, file_name, self.reference_roots
@@ -69,17 +69,19 @@ class ArrayReader:
         if path is None:
             return NO_ARRAY
         self.paths_by_name[file_name] = path
-        array_reference = ArrayRef(text, path, array_key)
+        array_reference = ArrayRef(reference_text, path, array_key)
         try:
             message = self._header_fault(array_reference, role, shape)
             if message is not None:
-                self.document.add("RIG019", location, f"{text!r} {message}")
+                self.document.add("RIG019", location, f"{reference_text!r} {message}")
                 return array_reference
             values = self.archives.load_stored(path, array_key)
             message = _value_fault(role, values, part_count)
             if message is not None:
                 hint = _index_hint(role, values, part_count)
-                self.document.add("RIG027", location, f"{text!r} {message}", hint)
+                self.document.add(
+                    "RIG027", location, f"{reference_text!r} {message}", hint
+                )
         except ValueError as error:
             code = "RIG020" if "pickled" in str(error) else "RIG018"
             self.document.add(code, location, str(error))
@@ -88,15 +90,15 @@ class ArrayReader:
     def read_optional_array(
         self,
         location: Location,
-        text: str | None,
+        reference_text: str | None,
         role: str,
         shape: ArrayShape,
         part_count: int | None = None,
     ) -> ArraySource | None:
         """Read an array as `read_array` does; None if the entry has no array."""
-        if text is None:
+        if reference_text is None:
             return None
-        return self.read_array(location, text, role, shape, part_count)
+        return self.read_array(location, reference_text, role, shape, part_count)
 
     def row_count(self, source: ArraySource) -> int | None:
         """Return the length of an array; None if it cannot be read."""
@@ -104,7 +106,7 @@ class ArrayReader:
         return shape[0] if shape else None
 
     def array_shape(self, source: ArraySource) -> tuple[int, ...] | None:
-        """Return the shape of an array; None if it cannot be read."""
+        """Return the shape of the array of a reference; None if it cannot be read."""
         if isinstance(source, LoadedArray):
             return None if source is NO_ARRAY else source.values.shape
         try:
@@ -166,7 +168,7 @@ def _value_fault(
 def _index_hint(
     role: str, values: npt.NDArray[Any], part_count: int | None
 ) -> str | None:
-    """Return how to correct indices out of range; None if that is unclear."""
+    """Return a hint how to correct indices out of range; None if that is unclear."""
     if part_count is None or role not in _INTEGER_ROLES:
         return None
     if role == "faces":

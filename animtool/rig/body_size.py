@@ -29,26 +29,31 @@ LIKELY_SIZE_RANGE = (0.3, 5.0)
 UNIT_RATIOS = (10.0, 100.0, 1000.0, 0.1, 0.01, 0.001)
 
 
-def find_feet(names: tuple[str, ...] | list[str]) -> IntArray:
-    """Return the indices of foot joints.
+def find_feet(joint_names: tuple[str, ...] | list[str]) -> IntArray:
+    """Return the indices of the joints whose names are those of feet ``(N,)``.
 
     >>> find_feet(["hips", "LeftFoot", "toe_l", "flywheel", "l_ankle"]).tolist()
     [1, 2, 4]
     """
-    foot_indices = [i for i, name in enumerate(names) if _FOOT_PATTERN.search(name)]
+    foot_indices = [
+        i for i, name in enumerate(joint_names) if _FOOT_PATTERN.search(name)
+    ]
     return np.array(foot_indices, np.int64)
 
 
-def is_character(names: Sequence[str]) -> bool:
+def is_character(joint_names: Sequence[str]) -> bool:
     """Return whether a rig has the feet and joint count of a person or animal."""
-    return len(names) >= MIN_CHARACTER_JOINTS and len(find_feet(list(names))) > 0
+    return (
+        len(joint_names) >= MIN_CHARACTER_JOINTS
+        and len(find_feet(list(joint_names))) > 0
+    )
 
 
-def fitting_unit(names: Sequence[str], size: float, unit: float) -> float | None:
+def fitting_unit(joint_names: Sequence[str], size: float, unit: float) -> float | None:
     """Return a unit [m] in which an implausible character has a likely size, or None.
 
     Args:
-        names: Joints of its rig.
+        joint_names: Joints of its rig.
         size: Its size [m].
         unit: Unit in which it is read [m].
 
@@ -57,7 +62,7 @@ def fitting_unit(names: Sequence[str], size: float, unit: float) -> float | None
     (0.01, None)
     """
     smallest, largest = CHARACTER_SIZE_RANGE
-    if smallest <= size <= largest or not is_character(names):
+    if smallest <= size <= largest or not is_character(joint_names):
         return None
     for ratio in UNIT_RATIOS:
         if LIKELY_SIZE_RANGE[0] <= size * ratio <= LIKELY_SIZE_RANGE[1]:

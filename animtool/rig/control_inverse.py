@@ -42,7 +42,7 @@ class SolvedControls:
 def keys_of_controls(
     controls: Sequence[Control], solved_values: Mapping[str, FloatArray]
 ) -> dict[str, FloatArray]:
-    """Return the keys that give control values ``(F,)`` on top of others' drives.
+    """Return the keys that produce control values ``(F,)`` in addition to other drives.
 
     >>> from animtool.rig.controls import Drive
     >>> from animtool.rig.expressions import parse_expression
@@ -67,8 +67,8 @@ def keys_of_controls(
 
 def solve_controls(
     controls: Sequence[Control],
-    targets: Mapping[str, FloatArray],
-    tolerances: Mapping[str, float],
+    goals_by_target: Mapping[str, FloatArray],
+    tolerance_by_target: Mapping[str, float],
     start: Mapping[str, FloatArray],
     *,
     keyed_targets: Set[str] = frozenset(),
@@ -82,10 +82,10 @@ def solve_controls(
     those that shared a target with them are solved again. A control that only drives
     other controls stays at its start if those do.
 
-    ``targets``: total contribution of all controls to each target ``(F,)`` [rad], [m],
-    [1]; targets that it lacks are unconstrained. ``start``: keyed value of every
-    control ``(F,)``, not limited to the ranges. No control is solved from
-    ``keyed_targets``, which get their own keys.
+    ``goals_by_target`` has the total contribution of all controls to each target
+    ``(F,)`` [rad], [m], [1]; targets that it lacks are unconstrained. ``start`` has the
+    keyed value of every control ``(F,)``, not limited to the ranges. No control is
+    solved from ``keyed_targets``, which get their own keys.
 
     Limits: if several values have the same effect, the result depends on the start.
     """
@@ -94,7 +94,9 @@ def solve_controls(
     reset_names: set[str] = set()
     for group in _coupled_groups(controls):
         group_controls = [control for control in controls if control.name in group]
-        problem = _GroupProblem(group_controls, targets, tolerances, keyed_targets)
+        problem = _GroupProblem(
+            group_controls, goals_by_target, tolerance_by_target, keyed_targets
+        )
         start_values = {name: values[name] for name in problem.controls_by_name}
         solved_values, unsolved_names = _solve_group(problem, start_values)
         values |= solved_values
@@ -174,18 +176,18 @@ def _reset_if_unneeded(
 
 def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
     """Return groups of control names that share targets or read each other."""
-    linked_names: dict[str, set[str]] = {}
+    linked_by_name: dict[str, set[str]] = {}
     for control in controls:
         affected_names = {control.name}
         for drive in control.drives:
             affected_names |= {drive.target, *drive.controls_read(control.name)}
         affected_names = {name.removeprefix("control/") for name in affected_names}
         for name in affected_names:
-            linked_names.setdefault(name, set()).update(affected_names)
-    names = [control.name for control in controls]
+            linked_by_name.setdefault(name, set()).update(affected_names)
+    control_names = [control.name for control in controls]
     groups: list[set[str]] = []
     visited_names: set[str] = set()
-    for name in names:
+    for name in control_names:
         if name in visited_names:
             continue
         group, pending_names = set(), [name]
@@ -193,9 +195,9 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
             name_in_group = pending_names.pop()
             if name_in_group not in group:
                 group.add(name_in_group)
-                pending_names.extend(linked_names.get(name_in_group, ()))
+                pending_names.extend(linked_by_name.get(name_in_group, ()))
         visited_names |= group
-        groups.append(group & set(names))
+        groups.append(group & set(control_names))
     return groups
 
 
@@ -205,22 +207,28 @@ class _GroupProblem:
     def __init__(
         self,
         controls: Sequence[Control],
-        goals: Mapping[str, FloatArray],
-        tolerances: Mapping[str, float],
+        goals_by_target: Mapping[str, FloatArray],
+        tolerance_by_target: Mapping[str, float],
         keyed_targets: Set[str],
     ) -> None:
         self.controls = controls
         self.keyed_targets = keyed_targets
         self.controls_by_name = {control.name: control for control in controls}
-        direct_targets = {c.name: {d.target for d in c.drives} for c in controls}
-        self.targets_by_control = _all_targets_by_control(controls, direct_targets)
+        direct_targets_by_control = {
+            c.name: {d.target for d in c.drives} for c in controls
+        }
+        self.targets_by_control = _all_targets_by_control(
+            controls, direct_targets_by_control
+        )
         all_targets = sorted(set().union(*self.targets_by_control.values()))
-        self.targets_in_order = [target for target in all_targets if target in goals]
-        self.goals = goals
-        self.tolerances = tolerances
+        self.targets_in_order = [
+            target for target in all_targets if target in goals_by_target
+        ]
+        self.goals_by_target = goals_by_target
+        self.tolerance_by_target = tolerance_by_target
         self.master_names = {
             name
-            for name, targets in direct_targets.items()
+            for name, targets in direct_targets_by_control.items()
             if targets and all(map(_is_control, targets))
         }
 
@@ -234,20 +242,22 @@ class _GroupProblem:
         if len(angle_targets) < 2:
             return
         for reference_angle in angle_targets[:MAX_REFERENCE_ANGLES]:
-            problem = self._with_goals({reference_angle: self.goals[reference_angle]})
+            problem = self._with_goals(
+                {reference_angle: self.goals_by_target[reference_angle]}
+            )
             values = problem.solve(start, free_names)
-            driven_values = evaluate_controls(self.controls, values).targets
-            shifted_goals = dict(self.goals)
+            values_by_target = evaluate_controls(self.controls, values).targets
+            shifted_goals = dict(self.goals_by_target)
             for target in angle_targets:
-                difference = driven_values[target] - shifted_goals[target]
+                difference = values_by_target[target] - shifted_goals[target]
                 revolutions = np.round(difference / (2 * np.pi))
                 shifted_goals[target] = shifted_goals[target] + 2 * np.pi * revolutions
             yield self._with_goals(shifted_goals)
 
-    def _with_goals(self, targets: Mapping[str, FloatArray]) -> _GroupProblem:
-        """Return the problem with other goals: target values by name."""
+    def _with_goals(self, goals_by_target: Mapping[str, FloatArray]) -> _GroupProblem:
+        """Return the problem with other target values as goals, by target name."""
         return _GroupProblem(
-            self.controls, targets, self.tolerances, self.keyed_targets
+            self.controls, goals_by_target, self.tolerance_by_target, self.keyed_targets
         )
 
     def residuals(
@@ -258,15 +268,17 @@ class _GroupProblem:
         ignores_revolutions: bool = False,
     ) -> FloatArray:
         """Return goals minus driven values, divided by the tolerances ``(F, T)``."""
-        driven_values = evaluate_controls(self.controls, values).targets
+        values_by_target = evaluate_controls(self.controls, values).targets
         columns = []
         with np.errstate(invalid="ignore", over="ignore"):
             for target in self.targets_in_order:
-                difference = self.goals[target][frames] - driven_values[target]
+                difference = (
+                    self.goals_by_target[target][frames] - values_by_target[target]
+                )
                 if ignores_revolutions and target.endswith(".angle"):
                     revolutions = np.round(difference / (2 * np.pi))
                     difference = difference - 2 * np.pi * revolutions
-                columns.append(difference / self.tolerances[target])
+                columns.append(difference / self.tolerance_by_target[target])
         residuals = np.stack(np.broadcast_arrays(*columns), axis=-1)
         clipped_residuals = residuals.clip(-HUGE_RESIDUAL, HUGE_RESIDUAL)
         return np.asarray(np.nan_to_num(clipped_residuals, nan=HUGE_RESIDUAL))
@@ -417,10 +429,12 @@ class _GroupProblem:
 
 
 def _all_targets_by_control(
-    controls: Sequence[Control], direct_targets: Mapping[str, Iterable[str]]
+    controls: Sequence[Control], direct_targets_by_control: Mapping[str, Iterable[str]]
 ) -> dict[str, set[str]]:
     """Return the joint parts and shapes that each control moves, also indirectly."""
-    targets_by_control = {name: {*targets} for name, targets in direct_targets.items()}
+    targets_by_control = {
+        name: {*targets} for name, targets in direct_targets_by_control.items()
+    }
     for control in controls:
         for drive in control.drives:
             for name in drive.controls_read(control.name):

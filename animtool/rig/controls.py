@@ -47,7 +47,7 @@ class Drive:
         return (control,) if self.expression is None else self.expression.names
 
     def evaluate(self, control: str, values: Mapping[str, FloatArray]) -> FloatArray:
-        """Return the contribution, given the values of all controls."""
+        """Return the drive's contribution ``(F,)`` for the values of all controls."""
         if self.expression is not None:
             return self.expression.evaluate(values) * self.unit
         value = curve_values(self.curve, values[control], is_smooth=self.is_smooth)
@@ -72,15 +72,17 @@ def evaluation_order(controls: Sequence[Control]) -> list[str]:
     A control depends on the controls that drive it, and on all controls that their
     expressions read.
     """
-    dependencies: dict[str, dict[str, None]] = {
+    dependencies_by_control: dict[str, dict[str, None]] = {
         control.name: {} for control in controls
     }
     for control in controls:
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
-            if kind == "control" and name in dependencies:
-                dependencies[name] |= dict.fromkeys(drive.controls_read(control.name))
-    return dependency_order(dependencies)
+            if kind == "control" and name in dependencies_by_control:
+                dependencies_by_control[name] |= dict.fromkeys(
+                    drive.controls_read(control.name)
+                )
+    return dependency_order(dependencies_by_control)
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,7 +100,7 @@ class ControlEffects:
 def undefined_faults(
     values_by_name: Mapping[str, FloatArray], times: FloatArray
 ) -> list[Fault]:
-    """Return a fault for each ``(F,)`` or ``(1,)`` values that are not all finite."""
+    """Return a fault for each name whose values ``(F,)`` or ``(1,)`` are not finite."""
     faults = []
     for name, values in values_by_name.items():
         undefined_frames = np.flatnonzero(~np.isfinite(values))
@@ -123,7 +125,7 @@ def evaluate_controls(
     one target are summed in the rig's order. Values that are not finite are kept; the
     caller has to check.
     """
-    values = {
+    values_by_control = {
         control.name: np.asarray(
             keyed_values.get(control.name, [control.default]), np.float64
         )
@@ -134,20 +136,28 @@ def evaluate_controls(
     for control in controls:
         for drive in control.drives:
             drives_by_target.setdefault(drive.target, []).append((control.name, drive))
-    unclamped_values: dict[str, FloatArray] = {}
+    unclamped_by_control: dict[str, FloatArray] = {}
     for name in evaluation_order(controls):
         for driving_name, drive in drives_by_target.pop(f"control/{name}", ()):
-            values[name] = values[name] + drive.evaluate(driving_name, values)
-        unclamped_values[name] = values[name]
+            values_by_control[name] = values_by_control[name] + drive.evaluate(
+                driving_name, values_by_control
+            )
+        unclamped_by_control[name] = values_by_control[name]
         range_low, range_high = controls_by_name[name].low, controls_by_name[name].high
         if clamp and range_low is not None and range_high is not None:
-            values[name] = np.clip(values[name], range_low, range_high)
-    targets: dict[str, FloatArray] = {}
+            values_by_control[name] = np.clip(
+                values_by_control[name], range_low, range_high
+            )
+    contributions_by_target: dict[str, FloatArray] = {}
     for target, drives in drives_by_target.items():
         contribution = np.zeros(1)
         for driving_name, drive in drives:
-            contribution = contribution + drive.evaluate(driving_name, values)
-        targets[target] = contribution
+            contribution = contribution + drive.evaluate(
+                driving_name, values_by_control
+            )
+        contributions_by_target[target] = contribution
     return ControlEffects(
-        {name: values[name] for name in controls_by_name}, targets, unclamped_values
+        {name: values_by_control[name] for name in controls_by_name},
+        contributions_by_target,
+        unclamped_by_control,
     )

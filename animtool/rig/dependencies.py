@@ -21,14 +21,14 @@ class DependencyCycleError(ValueError):
         super().__init__(cycle_text(cycle))
 
 
-def dependency_order(dependencies: Mapping[str, Iterable[str]]) -> list[str]:
+def dependency_order(dependencies_by_name: Mapping[str, Iterable[str]]) -> list[str]:
     """Return names in dependency order: each after those that it depends on.
 
     >>> dependency_order({"both": ["smile", "jaw"]})
     ['smile', 'jaw', 'both']
     """
     try:
-        return list(TopologicalSorter(dependencies).static_order())
+        return list(TopologicalSorter(dependencies_by_name).static_order())
     except CycleError as error:
         # The sorter names each part before those that need it; reverse that.
         raise DependencyCycleError(list(reversed(error.args[1]))) from error

@@ -98,14 +98,14 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
     This includes joints that mimic a driven joint, and controls that a driven control
     drives. Shapes are last.
     """
-    dependencies: dict[str, dict[str, None]] = {}
+    dependencies_by_target: dict[str, dict[str, None]] = {}
     for joint in rig.joints:
-        inputs = dependencies.setdefault(f"joint/{joint.name}", {})
+        inputs = dependencies_by_target.setdefault(f"joint/{joint.name}", {})
         if joint.mimic is not None:
             inputs[f"joint/{joint.mimic.joint}"] = None
         inputs |= _driver_inputs(joint.driven)
     for control in rig.controls:
-        inputs = dependencies.setdefault(f"control/{control.name}", {})
+        inputs = dependencies_by_target.setdefault(f"control/{control.name}", {})
         inputs |= _driver_inputs(control.driven)
         for drive in control.drives:
             kind, _, name = drive.target.partition("/")
@@ -115,14 +115,14 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
                 input_targets = dict.fromkeys(
                     f"control/{n}" for n in drive.controls_read(control.name)
                 )
-                dependencies.setdefault(target, {}).update(input_targets)
-    order = dependency_order(dependencies)
+                dependencies_by_target.setdefault(target, {}).update(input_targets)
+    order = dependency_order(dependencies_by_target)
     driven_parts = {name for name in rig.drivers if not name.startswith("shape/")}
-    mimics = {f"joint/{joint.name}": joint.mimic for joint in rig.joints}
+    mimic_by_target = {f"joint/{joint.name}": joint.mimic for joint in rig.joints}
     for target in order:
-        inputs_of_target = set(dependencies.get(target, ()))
+        inputs_of_target = set(dependencies_by_target.get(target, ()))
         if target.startswith("joint/"):
-            mimic = mimics.get(target)
+            mimic = mimic_by_target.get(target)
             inputs_of_target = set() if mimic is None else {f"joint/{mimic.joint}"}
         if driven_parts & inputs_of_target:
             driven_parts.add(target)
@@ -144,8 +144,8 @@ def evaluation_order_of_drivers(rig: Rig) -> list[str]:
 
 def driver_cycle_text(error: DependencyCycleError) -> str:
     """Return the message about driven targets that depend on each other in a cycle."""
-    names = cycle_text([target.partition("/")[2] for target in error.cycle])
-    return f"what is driven depends on itself: {names}"
+    cycle_names = cycle_text([target.partition("/")[2] for target in error.cycle])
+    return f"what is driven depends on itself: {cycle_names}"
 
 
 def _driver_inputs(driver: Driver | None) -> dict[str, None]:
@@ -206,7 +206,7 @@ class DriverPlan:
 
     def controls_read(self) -> set[str]:
         """Return the undriven controls that joint drivers read."""
-        controls = {control.name: control for control in self.rig.controls}
+        control_by_name = {control.name: control for control in self.rig.controls}
         pending_names = [
             name
             for j in self.joints
@@ -216,10 +216,10 @@ class DriverPlan:
         visited_names: set[str] = set()
         while pending_names:
             name = pending_names.pop()
-            if name not in controls or name in visited_names:
+            if name not in control_by_name or name in visited_names:
                 continue
             visited_names.add(name)
-            driver_of_control = controls[name].driven
+            driver_of_control = control_by_name[name].driven
             pending_names += (
                 () if driver_of_control is None else driver_of_control.names
             )

@@ -30,7 +30,7 @@ class Driver:
 
     # Expression over controls and coordinates, JOINT.PART; None if there is a curve.
     expression: Expression | None = None
-    # Input of the curve: one such name.
+    # Name of the control or coordinate that the curve reads.
     curve_input: str = ""
     # Points (input, value), ascending, constant beyond the ends.
     curve: CurvePoints = ()
@@ -54,7 +54,7 @@ class Driver:
             return 1.0
         return self.length_unit if part == SLIDE else self.angle_unit
 
-    def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
+    def evaluate(self, values_by_name: Mapping[str, FloatArray]) -> FloatArray:
         """Evaluate the driver [rad], [m], [1] on arrays ``(F,)`` or ``(1,)`` by name.
 
         >>> from animtool.rig.expressions import parse_expression
@@ -63,7 +63,7 @@ class Driver:
         [0.25]
         """
         values_in_units = {
-            name: values[name] / self.unit_of(name) for name in self.names
+            name: values_by_name[name] / self.unit_of(name) for name in self.names
         }
         if self.expression is not None:
             # A constant expression.
@@ -71,31 +71,31 @@ class Driver:
         x = values_in_units[self.curve_input]
         return curve_values(self.curve, x, is_smooth=self.is_smooth) * self.unit
 
-    def mirrored(self, names: Mapping[str, str]) -> Driver:
+    def mirrored(self, partner_by_joint: Mapping[str, str]) -> Driver:
         """Return the mirrored driver, with partner joints by name.
 
         Equal angles, slides and twists are mirror images, and so are swings about X;
         swings about the other axes are mirror images with opposite signs.
         """
-        signs = {
+        sign_by_input = {
             name: -1.0
             for name in self.names
             if split_coordinate(name)[1] in SWING_PARTS[1:]
         }
         mirrored_driver = self
-        if signs and self.expression is not None:
-            text = self.expression.scaled_text(signs, 1.0)
+        if sign_by_input and self.expression is not None:
+            text = self.expression.scaled_text(sign_by_input, 1.0)
             mirrored_driver = replace(
                 self, expression=parse_expression(text, allows_coordinates=True)
             )
-        elif signs:
+        elif sign_by_input:
             points = tuple((-x, y) for x, y in reversed(self.curve))
             mirrored_driver = replace(self, curve=points)
-        return mirrored_driver.with_renamed_joints(names)
+        return mirrored_driver.with_renamed_joints(partner_by_joint)
 
-    def with_renamed_joints(self, names: Mapping[str, str]) -> Driver:
+    def with_renamed_joints(self, new_name_by_joint: Mapping[str, str]) -> Driver:
         """Return the driver with new joint names in its inputs; others are kept."""
-        new_names = renamed_coordinates(self.names, names)
+        new_names = renamed_coordinates(self.names, new_name_by_joint)
         if self.expression is not None:
             return replace(
                 self, expression=self.expression.with_renamed_inputs(new_names)
@@ -114,18 +114,20 @@ def split_coordinate(name: str) -> tuple[str, str]:
 
 
 def renamed_coordinates(
-    input_names: Sequence[str], names: Mapping[str, str]
+    input_names: Sequence[str], new_name_by_joint: Mapping[str, str]
 ) -> dict[str, str]:
     """Map coordinate and control names to their names after joints are renamed.
 
     >>> renamed_coordinates(["elbow.angle", "grip"], {"elbow": "knee"})
     {'elbow.angle': 'knee.angle', 'grip': 'grip'}
     """
-    new_names = {}
+    new_name_by_input = {}
     for name in input_names:
         joint, part = split_coordinate(name)
-        new_names[name] = f"{names.get(joint, joint)}.{part}" if joint else name
-    return new_names
+        new_name_by_input[name] = (
+            f"{new_name_by_joint.get(joint, joint)}.{part}" if joint else name
+        )
+    return new_name_by_input
 
 
 def curve_values(

@@ -58,14 +58,14 @@ def evaluate_drivers(
             undriven.
     """
     rig = plan.rig
-    values = dict(controls)
+    control_values = dict(controls)
     result = DriverValues({}, {}, {}, {})
-    defaults = {control.name: control.default for control in rig.controls}
+    default_by_control = {control.name: control.default for control in rig.controls}
     for target in (*plan.order, *(f"shape/{name}" for name in plan.shapes)):
         if target in skipped_targets:
             continue
         kind, _, name = target.partition("/")
-        inputs = _NamedValues(plan, read_coordinate, values, result)
+        inputs = _DriverInputs(plan, read_coordinate, control_values, result)
         if kind == "joint":
             _evaluate_joint_driver(plan, rig.index(name), inputs, result)
             continue
@@ -73,13 +73,13 @@ def evaluate_drivers(
         if driver is not None:
             value = driver.evaluate(inputs)
         else:
-            value = _control_contribution(rig, target, values)
+            value = _control_contribution(rig, target, control_values)
         if kind == "shape":
             result.shapes[name] = value
             continue
         if driver is None:
-            value = np.array([defaults[name]]) + value
-        values[name] = result.controls[name] = value
+            value = np.array([default_by_control[name]]) + value
+        control_values[name] = result.controls[name] = value
     return result
 
 
@@ -101,8 +101,8 @@ def _evaluate_joint_driver(
     result.excess[j] = value - result.joints[j] if np.isfinite(value).all() else value
 
 
-class _NamedValues(dict[str, FloatArray]):
-    """Mapping of names to values; joint coordinates are read on first access."""
+class _DriverInputs(dict[str, FloatArray]):
+    """Values of driver inputs by name; joint coordinates are read when accessed."""
 
     def __init__(
         self,
@@ -124,14 +124,16 @@ class _NamedValues(dict[str, FloatArray]):
 
 
 def _control_contribution(
-    rig: Rig, target: str, values: Mapping[str, FloatArray]
+    rig: Rig, target: str, control_values: Mapping[str, FloatArray]
 ) -> FloatArray:
     """Return the controls' contribution to a target."""
     contribution = np.zeros(1)
     for control in rig.controls:
         for drive in control.drives:
             if drive.target == target:
-                contribution = contribution + drive.evaluate(control.name, values)
+                contribution = contribution + drive.evaluate(
+                    control.name, control_values
+                )
     return contribution
 
 
@@ -179,7 +181,11 @@ def driven_coordinates(plan: DriverPlan, coordinates: FloatArray) -> FloatArray:
             return ball_part_values(rig.joints[j], part, columns)
         return columns[:, 0]
 
-    values = {control.name: np.array([control.default]) for control in rig.controls}
-    for j, value in evaluate_drivers(plan, read_coordinate, values).joints.items():
+    control_values = {
+        control.name: np.array([control.default]) for control in rig.controls
+    }
+    for j, value in evaluate_drivers(
+        plan, read_coordinate, control_values
+    ).joints.items():
         result[:, slices[j].start] = value
     return result

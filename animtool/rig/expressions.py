@@ -99,7 +99,7 @@ class Expression:
     # Operations in reverse Polish notation, see `postfix_program`.
     _program: tuple[tuple[str, Any], ...] = field(repr=False, compare=False)
 
-    def evaluate(self, values: Mapping[str, FloatArray]) -> FloatArray:
+    def evaluate(self, values_by_name: Mapping[str, FloatArray]) -> FloatArray:
         """Evaluate on arrays that broadcast; NaN or infinite where undefined.
 
         >>> wave = parse_expression("clamp(grin * 2, 0, 1)")
@@ -113,7 +113,7 @@ class Expression:
                     function, argument_count = _OPERATIONS[value]
                     stack[-argument_count:] = [function(*stack[-argument_count:])]
                 else:
-                    stack.append(value if kind == "number" else values[value])
+                    stack.append(value if kind == "number" else values_by_name[value])
         return np.asarray(stack[0], np.float64)
 
     def postfix_program(self) -> list[tuple[str, float | str]]:
@@ -127,26 +127,26 @@ class Expression:
         """
         return list(self._program)
 
-    def scaled_text(self, factors: Mapping[str, float], factor: float) -> str:
+    def scaled_text(self, factor_by_name: Mapping[str, float], factor: float) -> str:
         """Return the text with names and result multiplied by factors.
 
         >>> parse_expression("sin(x) + 1").scaled_text({"x": 2.0}, 0.5)
         '(sin(x * 2.0) + 1) * 0.5'
         """
-        tree = _NameScaler(factors).visit(copy.deepcopy(self._tree))
+        tree = _NameScaler(factor_by_name).visit(copy.deepcopy(self._tree))
         if factor != 1.0:
             tree = ast.BinOp(tree, ast.Mult(), ast.Constant(factor))
         return ast.unparse(ast.fix_missing_locations(tree))
 
-    def with_renamed_inputs(self, names: Mapping[str, str]) -> Expression:
+    def with_renamed_inputs(self, new_name_by_input: Mapping[str, str]) -> Expression:
         """Return the expression with its inputs renamed.
 
         >>> parse_expression("a + b").with_renamed_inputs({"a": "c"}).text
         'c + b'
         """
-        if not any(names.get(name, name) != name for name in self.names):
+        if not any(new_name_by_input.get(name, name) != name for name in self.names):
             return self
-        tree = _NameReplacer(names).visit(copy.deepcopy(self._tree))
+        tree = _NameReplacer(new_name_by_input).visit(copy.deepcopy(self._tree))
         return parse_expression(ast.unparse(tree), allows_coordinates=True)
 
 
@@ -230,14 +230,14 @@ def _name_node(name: str) -> ast.expr:
 class _NameReplacer(ast.NodeTransformer):
     """Replaces the control and coordinate names in an expression."""
 
-    def __init__(self, names: Mapping[str, str]) -> None:
-        self.names = names
+    def __init__(self, new_name_by_input: Mapping[str, str]) -> None:
+        self.new_name_by_input = new_name_by_input
 
     def visit(self, node: ast.AST) -> Any:
         """Return the replacement of a node."""
         name = _read_name(node)
         if name is not None:
-            return _name_node(self.names.get(name, name))
+            return _name_node(self.new_name_by_input.get(name, name))
         return self.generic_visit(node)
 
     def visit_Call(self, node: ast.Call) -> ast.Call:
@@ -249,18 +249,18 @@ class _NameReplacer(ast.NodeTransformer):
 class _NameScaler(_NameReplacer):
     """Multiplies names by factors in an expression."""
 
-    def __init__(self, factors: Mapping[str, float]) -> None:
+    def __init__(self, factor_by_name: Mapping[str, float]) -> None:
         super().__init__({})
-        self.factors = factors
+        self.factor_by_name = factor_by_name
 
     def visit(self, node: ast.AST) -> Any:
         """Return the replacement of a node."""
         if isinstance(node, ast.Call):
             return self.visit_Call(node)
         name = _read_name(node)
-        if name is None or self.factors.get(name, 1.0) == 1.0:
+        if name is None or self.factor_by_name.get(name, 1.0) == 1.0:
             return super().visit(node)
-        factor = ast.Constant(self.factors[name])
+        factor = ast.Constant(self.factor_by_name[name])
         return ast.BinOp(_name_node(name), ast.Mult(), factor)
 
 

@@ -40,40 +40,42 @@ from animtool.rig.suspicious_strands import warn_of_strands
 
 def read_bind_poses(
     document: Document,
-    models: Mapping[str, PoseModel],
+    model_by_joint: Mapping[str, PoseModel],
     file_joints: FileJoints,
     units: FileUnits,
-    inherited_poses: Mapping[str, Pose],
+    inherited_pose_by_joint: Mapping[str, Pose],
 ) -> dict[str, Pose]:
     """Return the bind poses that differ from the rest pose, and record faults.
 
     A mirrored joint takes the reflection of its partner's bind pose, unless the file
     states a bind pose for it.
     """
-    joints = {joint.name: joint for joint in file_joints.joints}
-    bind = dict(inherited_poses)
-    for name, model in models.items():
-        if name not in joints:
+    joint_by_name = {joint.name: joint for joint in file_joints.joints}
+    pose_by_joint = dict(inherited_pose_by_joint)
+    for name, model in model_by_joint.items():
+        if name not in joint_by_name:
             message = f"unknown joint {name!r}"
             if not file_joints.has_unknown_name:
-                hint = name_hint(name, list(joints))
+                hint = name_hint(name, list(joint_by_name))
                 document.add("RIG008", ("bind", name), message, hint)
             continue
-        bind[name] = _read_pose(document, name, model, joints[name], units)
-    bind |= _mirrored_poses(file_joints, bind, set(models))
+        pose_by_joint[name] = _read_pose(
+            document, name, model, joint_by_name[name], units
+        )
+    pose_by_joint |= _mirrored_poses(file_joints, pose_by_joint, set(model_by_joint))
     return {
         name: pose
-        for name, pose in bind.items()
-        if (name in inherited_poses and name not in models)
-        or pose != joints[name].rest_pose
+        for name, pose in pose_by_joint.items()
+        if (name in inherited_pose_by_joint and name not in model_by_joint)
+        or pose != joint_by_name[name].rest_pose
     }
 
 
 def _read_pose(
-    document: Document, name: str, model: PoseModel, rest: Joint, units: FileUnits
+    document: Document, name: str, model: PoseModel, rest_joint: Joint, units: FileUnits
 ) -> Pose:
     """Return a bind pose; values that the file omits are taken from the rest pose."""
-    translation, rotation = rest.translation, rest.rotation
+    translation, rotation = rest_joint.translation, rest_joint.rotation
     if model.translate is not None:
         translation = scale_vector(model.translate, units.length)
     if model.rotate is not None:
@@ -83,28 +85,34 @@ def _read_pose(
 
 
 def _mirrored_poses(
-    joints: FileJoints, bind: Mapping[str, Pose], explicit_names: set[str]
+    file_joints: FileJoints,
+    bind_pose_by_joint: Mapping[str, Pose],
+    explicit_names: set[str],
 ) -> dict[str, Pose]:
     """Return the bind poses of mirrored joints, parents before children."""
-    poses: dict[str, Pose] = {}
-    if not joints.mirrored_joints - explicit_names or not bind:
-        return poses
+    pose_by_joint: dict[str, Pose] = {}
+    if not file_joints.mirrored_joints - explicit_names or not bind_pose_by_joint:
+        return pose_by_joint
     world_transforms: list[PoseArrays] = []
-    indices = {joint.name: i for i, joint in enumerate(joints.joints)}
-    for joint in joints.joints:
+    index_by_name = {joint.name: i for i, joint in enumerate(file_joints.joints)}
+    for joint in file_joints.joints:
         parent = world_transforms[joint.parent] if joint.parent >= 0 else ORIGIN
         if (
-            joint.name in joints.mirrored_joints
+            joint.name in file_joints.mirrored_joints
             and joint.name not in explicit_names
             and joint.mirror in explicit_names
         ):
-            partner_pose = bind[joint.mirror]
-            poses[joint.name] = mirror_pose(
-                partner_pose, world_transforms[indices[joint.mirror]], parent
+            partner_pose = bind_pose_by_joint[joint.mirror]
+            pose_by_joint[joint.name] = mirror_pose(
+                partner_pose, world_transforms[index_by_name[joint.mirror]], parent
             )
-        pose = poses.get(joint.name) or bind.get(joint.name) or joint.rest_pose
+        pose = (
+            pose_by_joint.get(joint.name)
+            or bind_pose_by_joint.get(joint.name)
+            or joint.rest_pose
+        )
         world_transforms.append(world_transform_below(parent, pose))
-    return poses
+    return pose_by_joint
 
 
 # Limit of nested sidecars.
@@ -203,9 +211,9 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
 def _merge_shapes(
     inherited_shapes: tuple[Shape, ...], new_shapes: tuple[Shape, ...]
 ) -> tuple[Shape, ...]:
-    """Merge shapes; an entry with only a driver is added to the inherited shape."""
+    """Return inherited and new shapes; an entry of only a driver changes its shape."""
     inherited_names = {shape.name for shape in inherited_shapes}
-    drivers = {
+    driver_by_shape = {
         shape.name: shape.driven
         for shape in new_shapes
         if shape.name in inherited_names
@@ -213,10 +221,10 @@ def _merge_shapes(
     }
     return (
         *(
-            replace(shape, driven=drivers.get(shape.name) or shape.driven)
+            replace(shape, driven=driver_by_shape.get(shape.name) or shape.driven)
             for shape in inherited_shapes
         ),
-        *(shape for shape in new_shapes if shape.name not in drivers),
+        *(shape for shape in new_shapes if shape.name not in driver_by_shape),
     )
 
 
@@ -270,52 +278,59 @@ def _overlay_joints(
     document: Document, model: RigModel, inherited_rig: Rig, units: FileUnits
 ) -> FileJoints:
     """Apply the joint types and limits of a sidecar to the joints of its base."""
-    names = {
+    rig_name_by_source_name = {
         joint.source_name or joint.name: joint.name for joint in inherited_rig.joints
     }
-    names |= {joint.name: joint.name for joint in inherited_rig.joints}
+    rig_name_by_source_name |= {
+        joint.name: joint.name for joint in inherited_rig.joints
+    }
     for i, entry in enumerate(model.joints):
         for key in ("name", "mirror"):
             name = getattr(entry, key)
-            if name is not None and name not in names:
+            if name is not None and name not in rig_name_by_source_name:
                 message = f"unknown joint {name!r} of {model.source}"
-                hint = name_hint(name, list(names))
+                hint = name_hint(name, list(rig_name_by_source_name))
                 document.add("RIG008", ("joints", i, key), message, hint)
         for key in ("parent", "translate", "rotate", "tips", "channels"):
             if key in entry.model_fields_set:
                 message = f"{key} is defined by {model.source}"
                 document.add("RIG023", ("joints", i, key), message, "remove it")
     sidecar_roots = _sidecar_roots(document, model, units)
-    sidecar_joints = {
-        names.get(joint.name, joint.name): joint for joint in sidecar_roots.joints
+    sidecar_joint_by_name = {
+        rig_name_by_source_name.get(joint.name, joint.name): joint
+        for joint in sidecar_roots.joints
     }
-    mirror_names = {
-        names.get(entry.name, entry.name): names.get(entry.mirror or "", "")
+    mirror_by_name = {
+        rig_name_by_source_name.get(
+            entry.name, entry.name
+        ): rig_name_by_source_name.get(entry.mirror or "", "")
         for entry in model.joints
     }
     joints = []
     for joint in inherited_rig.joints:
-        entry_joint = sidecar_joints.get(joint.name)
+        entry_joint = sidecar_joint_by_name.get(joint.name)
         if entry_joint is None:
             joints.append(joint)
             continue
         driver, mimic = entry_joint.driven, entry_joint.mimic
         if mimic is not None:
-            mimic = replace(mimic, joint=names.get(mimic.joint, mimic.joint))
+            mimic = replace(
+                mimic, joint=rig_name_by_source_name.get(mimic.joint, mimic.joint)
+            )
         overlaid_joint = replace(
             joint,
             type=entry_joint.type,
             axis=entry_joint.axis,
             limits=entry_joint.limits,
             mimic=mimic,
-            mirror=mirror_names[joint.name],
+            mirror=mirror_by_name[joint.name],
             driven=joint.driven
             if driver is None
-            else driver.with_renamed_joints(names),
+            else driver.with_renamed_joints(rig_name_by_source_name),
         )
         joints.append(overlaid_joint)
     untyped_names = frozenset(
-        names.get(name, name) for name in sidecar_roots.untyped_joints
+        rig_name_by_source_name.get(name, name) for name in sidecar_roots.untyped_joints
     )
     return FileJoints(
         tuple(joints),

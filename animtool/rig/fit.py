@@ -233,10 +233,10 @@ def check_fit(
         message += f"{MIN_FIT} is needed; "
         code, hint, severity = "RIG040", _worst_component_hint(fit), Severity.ERROR
     message += _score_text(fit)
-    names = [rig.names[j] for j in fit.differing_joints]
-    if names:
+    differing_names = [rig.names[j] for j in fit.differing_joints]
+    if differing_names:
         message += "; joints with different rest poses: "
-        fault = names_fault(code, message, names, location, hint, severity)
+        fault = names_fault(code, message, differing_names, location, hint, severity)
     else:
         fault = Fault(code, message, location, (), hint, severity)
     if is_accepted:
@@ -247,7 +247,7 @@ def check_fit(
 
 def _score_text(fit: RigFit) -> str:
     """Return text that lists the components of a score that are noticeably low."""
-    names = {
+    detail_by_component = {
         "joints": f"{fit.take_fraction:.0%} of the take's, "
         f"{fit.rig_fraction:.0%} of the rig's",
         "rotations": f"{math.degrees(fit.rms_angle):.1f} degrees apart",
@@ -256,7 +256,7 @@ def _score_text(fit: RigFit) -> str:
         "up axis": f"{math.degrees(fit.up_axis_angle):.0f} degrees apart",
     }
     return ", ".join(
-        f"{name} {value:.2f} ({names[name]})"
+        f"{name} {value:.2f} ({detail_by_component[name]})"
         for name, value in fit.components.items()
         if value < PERFECT_FIT
     )

@@ -29,15 +29,15 @@ def head_joints(rig: Rig) -> dict[str, int]:
     >>> head_joints(Rig("r", (Joint("mixamorig:Head", -1), Joint("LeftEye", 0))))
     {'head': 0, 'left eye': 1}
     """
-    matches: dict[str, int] = {}
+    joint_by_part: dict[str, int] = {}
     for j, joint in enumerate(rig.joints):
         normalized_name = re.sub(
             r"[\s_-]", "", re.split(r"[:|/]", joint.name)[-1]
         ).lower()
         for part, names in _JOINT_NAMES.items():
             if normalized_name in names:
-                matches.setdefault(part, j)
-    return matches
+                joint_by_part.setdefault(part, j)
+    return joint_by_part
 
 
 def local_rotations(rig: Rig, joint: int, rotations: FloatArray) -> FloatArray:

@@ -77,17 +77,23 @@ class _JointTree:
     """Joints built so far, parents first; computes world transforms on demand."""
 
     joints: list[Joint] = field(default_factory=list)
-    indices: dict[str, int] = field(default_factory=dict)
-    world: list[PoseArrays] = field(default_factory=list)
+    index_by_name: dict[str, int] = field(default_factory=dict)
+    world_transforms: list[PoseArrays] = field(default_factory=list)
 
     def world_at_rest(self, joint: int) -> PoseArrays:
         """Return a joint's world transform at rest; identity for -1."""
         if joint < 0:
             return ORIGIN
-        for next_joint in self.joints[len(self.world) : joint + 1]:
-            parent = self.world[next_joint.parent] if next_joint.parent >= 0 else ORIGIN
-            self.world.append(world_transform_below(parent, next_joint.rest_pose))
-        return self.world[joint]
+        for next_joint in self.joints[len(self.world_transforms) : joint + 1]:
+            parent = (
+                self.world_transforms[next_joint.parent]
+                if next_joint.parent >= 0
+                else ORIGIN
+            )
+            self.world_transforms.append(
+                world_transform_below(parent, next_joint.rest_pose)
+            )
+        return self.world_transforms[joint]
 
 
 def read_joints(
@@ -99,9 +105,11 @@ def read_joints(
     tree = _JointTree()
     for name in _in_dependency_order(document, entries):
         entry = entries[name]
-        parent = -1 if entry.parent is None else tree.indices.get(entry.parent, -1)
+        parent = (
+            -1 if entry.parent is None else tree.index_by_name.get(entry.parent, -1)
+        )
         if entry.is_mirrored:
-            source = tree.indices[entry.source_name]
+            source = tree.index_by_name[entry.source_name]
             parent_world = tree.world_at_rest(parent)
             joint = mirror_joint(
                 tree.joints[source], tree.world_at_rest(source), parent, parent_world
@@ -114,7 +122,7 @@ def read_joints(
             joint = _read_joint(
                 document, entry.index, models[entry.index], units, parent
             )
-        tree.indices[name] = len(tree.joints)
+        tree.index_by_name[name] = len(tree.joints)
         tree.joints.append(joint)
     joints = FileJoints(
         tuple(tree.joints),
@@ -135,69 +143,75 @@ def _joint_entries(
     document: Document, models: list[JointModel], *, has_unknown_name: bool
 ) -> dict[str, _JointEntry]:
     """Return the joints to build by name; record duplicates and unknown parents."""
-    entries: dict[str, _JointEntry] = {}
-    partner_names = {m.name: m.mirror for m in models if m.mirror is not None}
-    partner_names |= {mirror: name for name, mirror in partner_names.items()}
+    entry_by_name: dict[str, _JointEntry] = {}
+    partner_by_name = {m.name: m.mirror for m in models if m.mirror is not None}
+    partner_by_name |= {mirror: name for name, mirror in partner_by_name.items()}
     for i, model in enumerate(models):
-        if model.name in entries:
+        if model.name in entry_by_name:
             message = f"duplicate joint {model.name!r}"
-            first_line = document.position(("joints", entries[model.name].index))[0]
+            first_line = document.position(("joints", entry_by_name[model.name].index))[
+                0
+            ]
             hint = f"the first is on line {first_line}: rename one"
             document.add("RIG001", ("joints", i, "name"), message, hint)
             continue
-        entries[model.name] = _JointEntry(i, model.name, model.parent)
-    _warn_of_spaces(document, entries)
+        entry_by_name[model.name] = _JointEntry(i, model.name, model.parent)
+    _warn_of_spaces(document, entry_by_name)
     for i, model in enumerate(models):
-        if model.mirror is None or entries[model.name].index != i:
+        if model.mirror is None or entry_by_name[model.name].index != i:
             continue
         if model.mirror == model.name:
             message = f"{model.name!r} mirrors itself"
             hint = "mirror names the joint on the other side"
-        elif model.mirror in entries:
+        elif model.mirror in entry_by_name:
             message = f"mirror {model.mirror!r} is already a joint"
             hint = "mirror creates that joint; remove the other"
         else:
             parent = model.parent
-            parent = partner_names.get(parent, parent) if parent is not None else None
-            entries[model.mirror] = _JointEntry(i, model.name, parent, is_mirrored=True)
+            parent = partner_by_name.get(parent, parent) if parent is not None else None
+            entry_by_name[model.mirror] = _JointEntry(
+                i, model.name, parent, is_mirrored=True
+            )
             continue
         document.add("RIG010", ("joints", i, "mirror"), message, hint)
-    for entry in list(entries.values()):
-        if entry.parent is not None and entry.parent not in entries:
+    for entry in list(entry_by_name.values()):
+        if entry.parent is not None and entry.parent not in entry_by_name:
             message = f"unknown parent {entry.parent!r}"
             location = ("joints", entry.index, "parent")
             if not entry.is_mirrored and not has_unknown_name:
-                hint = name_hint(entry.parent, list(entries))
+                hint = name_hint(entry.parent, list(entry_by_name))
                 document.add("RIG002", location, message, hint)
             entry.parent, entry.is_orphaned = None, True
-    return entries
+    return entry_by_name
 
 
-def _warn_of_spaces(document: Document, entries: Mapping[str, _JointEntry]) -> None:
+def _warn_of_spaces(
+    document: Document, entry_by_name: Mapping[str, _JointEntry]
+) -> None:
     """Warn once of all joint names that contain white space (RIG109)."""
-    names = [name for name in entries if any(map(str.isspace, name))]
+    names = [name for name in entry_by_name if any(map(str.isspace, name))]
     if not names:
         return
     message = (
-        f"{len(names)} of {counted(len(entries), 'joint name')} "
+        f"{len(names)} of {counted(len(entry_by_name), 'joint name')} "
         f"{'contains' if len(names) == 1 else 'contain'} a space: {names[0]!r}"
     )
     hint = f"write {'_'.join(names[0].split())!r}: USD and expressions allow no spaces"
-    location = ("joints", entries[names[0]].index, "name")
+    location = ("joints", entry_by_name[names[0]].index, "name")
     document.warn("RIG109", location, message, hint)
 
 
 def _in_dependency_order(
-    document: Document, entries: dict[str, _JointEntry]
+    document: Document, entry_by_name: dict[str, _JointEntry]
 ) -> Iterator[str]:
     """Yield joint names in file order, but parents and mirror sources first."""
     yielded_names: set[str] = set()
-    for start_name in entries:
+    for start_name in entry_by_name:
         # An ordered set.
         pending_names = {start_name: None}
         while pending_names:
             name = next(reversed(pending_names))
-            entry = entries[name]
+            entry = entry_by_name[name]
             mirror_source = entry.source_name if entry.is_mirrored else None
             required_names = (entry.parent, mirror_source)
             required_name = next(
@@ -328,39 +342,45 @@ def _ball_limit(
 def _with_drivers(
     document: Document,
     models: list[JointModel],
-    entries: dict[str, _JointEntry],
+    entry_by_name: dict[str, _JointEntry],
     file_joints: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
     """Return the joints with their drivers; inputs are checked later."""
-    joints = {joint.name: joint for joint in file_joints.joints}
+    joint_by_name = {joint.name: joint for joint in file_joints.joints}
     file_units = (units.length, units.angle)
-    partners = {
+    mirror_by_name = {
         joint.name: joint.mirror for joint in file_joints.joints if joint.mirror
     }
     for i, model in enumerate(models):
         if not isinstance(model, PinJointModel | PrismaticJointModel):
             continue
-        if model.driven is None or entries[model.name].index != i:
+        if model.driven is None or entry_by_name[model.name].index != i:
             continue
         unit = units.unit_of(JointType(model.type))
         driver = read_driver(
             document, ("joints", i, "driven"), model.driven, file_units, unit
         )
         for name in (model.name, model.mirror):
-            if driver is None or name not in joints or entries[name].index != i:
+            if (
+                driver is None
+                or name not in joint_by_name
+                or entry_by_name[name].index != i
+            ):
                 continue
             joint_driver = (
-                driver.mirrored(partners) if entries[name].is_mirrored else driver
+                driver.mirrored(mirror_by_name)
+                if entry_by_name[name].is_mirrored
+                else driver
             )
-            joints[name] = replace(joints[name], driven=joint_driver)
-    return replace(file_joints, joints=tuple(joints.values()))
+            joint_by_name[name] = replace(joint_by_name[name], driven=joint_driver)
+    return replace(file_joints, joints=tuple(joint_by_name.values()))
 
 
 def _with_mimics(
     document: Document,
     models: list[JointModel],
-    entries: dict[str, _JointEntry],
+    entry_by_name: dict[str, _JointEntry],
     file_joints: FileJoints,
     units: FileUnits,
 ) -> FileJoints:
@@ -368,7 +388,7 @@ def _with_mimics(
     joints = list(file_joints.joints)
     indices_by_name = {joint.name: i for i, joint in enumerate(joints)}
     scalar_types = (JointType.PIN, JointType.PRISMATIC)
-    for name, entry in entries.items():
+    for name, entry in entry_by_name.items():
         model = models[entry.index]
         if not isinstance(model, PinJointModel | PrismaticJointModel) or not (
             model.mimic and name in indices_by_name
@@ -397,18 +417,18 @@ def _with_mimics(
         joint_mimic = Mimic(leader_name, gain, mimic.offset * unit)
         i = indices_by_name[name]
         joints[i] = replace(joints[i], mimic=joint_mimic)
-    _check_mimic_chains(document, entries, joints)
+    _check_mimic_chains(document, entry_by_name, joints)
     return replace(file_joints, joints=tuple(joints))
 
 
 def _check_mimic_chains(
-    document: Document, entries: dict[str, _JointEntry], joints: list[Joint]
+    document: Document, entry_by_name: dict[str, _JointEntry], joints: list[Joint]
 ) -> None:
     """Record a fault for a mimic of a mimic, and thereby for cycles."""
     mimic_names = {joint.name for joint in joints if joint.mimic}
     for joint in joints:
         if joint.mimic and joint.mimic.joint in mimic_names:
-            entry = entries[joint.name]
+            entry = entry_by_name[joint.name]
             if not entry.is_mirrored:
                 message = f"{joint.mimic.joint!r} is a mimic itself"
                 if joint.mimic.joint == joint.name:

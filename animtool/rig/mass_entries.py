@@ -31,18 +31,18 @@ def read_masses(
     """
     listed_joints = {entry.joint for entry in entries}
     masses = [mass for mass in inherited_masses if mass.joint not in listed_joints]
-    first_indices: dict[str, int] = {}
+    first_index_by_joint: dict[str, int] = {}
     for i, entry in enumerate(entries):
         location = ("masses", i)
         check_joint((*location, "joint"), entry.joint)
-        if entry.joint in first_indices:
-            line = document.position(("masses", first_indices[entry.joint]))[0]
+        if entry.joint in first_index_by_joint:
+            line = document.position(("masses", first_index_by_joint[entry.joint]))[0]
             message = f"joint {entry.joint!r} has a mass twice"
             document.add(
                 "RIG011", (*location, "joint"), message, f"first in line {line}"
             )
             continue
-        first_indices[entry.joint] = i
+        first_index_by_joint[entry.joint] = i
         inertia = None
         if entry.inertia is not None:
             a, b, c = inertia = (entry.inertia[0], entry.inertia[1], entry.inertia[2])

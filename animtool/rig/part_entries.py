@@ -39,7 +39,7 @@ from animtool.rig.schema import ControlModel, DriveModel, RigModel
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint
 
-_LIST_KEYS = {
+_LIST_KEY_BY_KIND = {
     "joint": "joints",
     "mesh": "meshes",
     "shape": "shapes",
@@ -58,13 +58,13 @@ class PartReader:
     array_reader: ArrayReader  # checks the arrays that the file refers to
     # Number of points of each mesh, if known.
     point_counts: dict[str, int] = field(default_factory=dict)
-    joints: dict[str, Joint] = field(init=False)  # the rig's joints, by name
+    joint_by_name: dict[str, Joint] = field(init=False)
     # Names of the rig's controls.
     control_names: dict[str, None] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
         """Index the joints of the rig by name."""
-        self.joints = {joint.name: joint for joint in self.file_joints.joints}
+        self.joint_by_name = {joint.name: joint for joint in self.file_joints.joints}
 
     def read_meshes(self) -> tuple[Mesh, ...]:
         """Return the meshes; check their arrays."""
@@ -79,7 +79,7 @@ class PartReader:
     ) -> tuple[Shape, ...]:
         """Return the blend shapes; check their arrays."""
         self._check_distinct("shapes", "shape")
-        names = dict.fromkeys(
+        shape_names = dict.fromkeys(
             [*inherited_names, *(shape.name for shape in self.model.shapes)]
         )
         meshes = dict.fromkeys(meshes)
@@ -96,7 +96,7 @@ class PartReader:
                 row_count = self.array_reader.row_count(vertex_indices)
             delta_shape = (row_count, 3)
             for k, name in enumerate(shape.combine):
-                self._check_known((*location, "combine", k), name, names, "shape")
+                self._check_known((*location, "combine", k), name, shape_names, "shape")
             inbetweens: list[Inbetween] = []
             weights = [entry.at for entry in shape.inbetweens]
             predecessors = dict(
@@ -149,17 +149,17 @@ class PartReader:
     ) -> tuple[Control, ...]:
         """Return the controls; check their targets and dependencies."""
         self._check_distinct("controls", "control")
-        entry_indices = {
+        entry_index_by_name = {
             control.name: i for i, control in enumerate(self.model.controls)
         }
         known_shapes = dict.fromkeys(shapes)
         inherited_controls = [
             control
             for control in inherited_controls
-            if control.name not in entry_indices
+            if control.name not in entry_index_by_name
         ]
         self.control_names = dict.fromkeys(
-            [*(control.name for control in inherited_controls), *entry_indices]
+            [*(control.name for control in inherited_controls), *entry_index_by_name]
         )
         for control in inherited_controls:
             self._warn_of_lost_drive(control)
@@ -174,10 +174,10 @@ class PartReader:
             evaluation_order(controls)
         except DependencyCycleError as error:
             cycle = error.cycle[::-1]
-            first_in_file = next(name for name in cycle if name in entry_indices)
+            first_in_file = next(name for name in cycle if name in entry_index_by_name)
             message = f"controls drive each other in a cycle: {cycle_text(cycle)}"
             self.document.add(
-                "RIG014", ("controls", entry_indices[first_in_file]), message
+                "RIG014", ("controls", entry_index_by_name[first_in_file]), message
             )
         return controls
 
@@ -187,10 +187,10 @@ class PartReader:
             name, part = split_part(drive.target.removeprefix("joint/"), DRIVEN_PARTS)
             if not part or name in self.file_joints.untyped_joints:
                 continue
-            kind = self.joints[name].type
-            if kind not in DRIVEN_PARTS[part]:
+            joint_type = self.joint_by_name[name].type
+            if joint_type not in DRIVEN_PARTS[part]:
                 message = f"its control {control.name!r} drives {name}.{part}, but a "
-                message += f"{kind} joint has no {part}"
+                message += f"{joint_type} joint has no {part}"
                 hint = "keep the joint's type, or write a control with that name"
                 self.document.add("RIG023", ("from",), message, hint)
 
@@ -218,8 +218,8 @@ class PartReader:
             if chain.pole_dir is not None:
                 where = (*location, "pole_dir")
                 direction = unit_vector(self.document, where, chain.pole_dir)
-            names = (chain.name, chain.root, chain.tip, chain.goal)
-            chains.append(IkChain(*names, direction, chain.stretch))
+            chain_fields = (chain.name, chain.root, chain.tip, chain.goal)
+            chains.append(IkChain(*chain_fields, direction, chain.stretch))
         return tuple(chains)
 
     def read_attachments(
@@ -227,14 +227,14 @@ class PartReader:
     ) -> tuple[Attachment, ...]:
         """Return the attachments; check their arrays."""
         self._check_distinct("attach", "attachment")
-        point_counts = {mesh.name: self._point_count(mesh) for mesh in meshes}
+        point_count_by_mesh = {mesh.name: self._point_count(mesh) for mesh in meshes}
         reader = AttachmentReader(
             self.document,
             self.array_reader,
-            point_counts,
+            point_count_by_mesh,
             self.check_joint,
             lambda location, name: self._check_known(
-                location, name, point_counts, "mesh"
+                location, name, point_count_by_mesh, "mesh"
             ),
         )
         listed_names = {entry.name for entry in self.model.attach}
@@ -426,8 +426,8 @@ class PartReader:
         """Return a drive's target, and the unit of its values."""
         name = str(getattr(model, kind))
         if kind != "joint":
-            names = shapes if kind == "shape" else self.control_names
-            self._check_known(location, name, names, kind)
+            known_names = shapes if kind == "shape" else self.control_names
+            self._check_known(location, name, known_names, kind)
             return f"{kind}/{name}", 1.0
         joint, part = split_part(name, DRIVEN_PARTS)
         if not part:
@@ -436,11 +436,13 @@ class PartReader:
         elif self.check_joint(location, joint):
             types = DRIVEN_PARTS[part]
             has_known_type = joint not in self.file_joints.untyped_joints
-            if has_known_type and self.joints[joint].type not in types:
+            if has_known_type and self.joint_by_name[joint].type not in types:
                 fitting_parts = [
-                    p for p, t in DRIVEN_PARTS.items() if self.joints[joint].type in t
+                    p
+                    for p, t in DRIVEN_PARTS.items()
+                    if self.joint_by_name[joint].type in t
                 ]
-                message = f"a {self.joints[joint].type} joint has no {part}"
+                message = f"a {self.joint_by_name[joint].type} joint has no {part}"
                 hint = f"it has {', '.join(fitting_parts) or 'nothing that moves'}"
                 self.document.add("RIG015", location, message, hint)
         is_length = part == "slide" or part.startswith("translation")
@@ -450,44 +452,44 @@ class PartReader:
     def _part_fault(self, name: str) -> tuple[str, str]:
         """Return message and hint for a drive whose target lacks a valid joint part."""
         joint, _, part = name.rpartition(".")
-        if name in self.joints:
+        if name in self.joint_by_name:
             joint, message = name, f"missing part of joint {name!r}"
-        elif joint in self.joints:
+        elif joint in self.joint_by_name:
             message = f"unknown part {part!r} of joint {joint!r}"
         else:
             return f"missing part of joint {name!r}", part_hint(name, DRIVEN_PARTS)
         has_type = joint not in self.file_joints.untyped_joints
-        kind = self.joints[joint].type if has_type else None
-        return message, part_hint(name, DRIVEN_PARTS, kind)
+        joint_type = self.joint_by_name[joint].type if has_type else None
+        return message, part_hint(name, DRIVEN_PARTS, joint_type)
 
     def _check_distinct(self, key: str, kind: str) -> None:
         """Record a fault for each entry that has the name of an earlier entry."""
-        first_indices: dict[str, int] = {}
+        first_index_by_name: dict[str, int] = {}
         for i, entry in enumerate(getattr(self.model, key)):
-            if entry.name in first_indices:
-                line = self.document.position((key, first_indices[entry.name]))[0]
+            if entry.name in first_index_by_name:
+                line = self.document.position((key, first_index_by_name[entry.name]))[0]
                 message = f"duplicate {kind} {entry.name!r}"
                 hint = f"the first is on line {line}"
                 self.document.add("RIG011", (key, i, "name"), message, hint)
-            first_indices.setdefault(entry.name, i)
+            first_index_by_name.setdefault(entry.name, i)
 
     def check_joint(self, location: Location, name: str) -> bool:
         """Return whether a joint exists; record a fault otherwise."""
-        return self._check_known(location, name, self.joints, "joint")
+        return self._check_known(location, name, self.joint_by_name, "joint")
 
     def _check_known(
-        self, location: Location, name: str, names: Collection[str], kind: str
+        self, location: Location, name: str, known_names: Collection[str], kind: str
     ) -> bool:
         """Return whether a name exists; record a fault otherwise."""
-        if name in names:
+        if name in known_names:
             return True
-        has_unknown_name = self.document.has_unknown_name(_LIST_KEYS[kind])
+        has_unknown_name = self.document.has_unknown_name(_LIST_KEY_BY_KIND[kind])
         if not (
             self.file_joints.has_unknown_name if kind == "joint" else has_unknown_name
         ):
             code = "RIG008" if kind == "joint" else "RIG012"
             self.document.add(
-                code, location, f"unknown {kind} {name!r}", name_hint(name, names)
+                code, location, f"unknown {kind} {name!r}", name_hint(name, known_names)
             )
         return False
 

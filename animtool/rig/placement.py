@@ -79,7 +79,7 @@ class Placement:
         return so3.multiply(self._broadcastable_parts()[1], rotations)
 
     def _broadcastable_parts(self) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return sizes, rotations and translations with an axis for points added."""
+        """Return sizes, rotations and translations that broadcast over points."""
         if not self.is_animated:
             return self.sizes[0], self.rotations[0], self.translations[0]
         sizes = self.sizes[:, None, None]

@@ -75,7 +75,7 @@ class ShapeLink:
     high: float = np.inf
 
     def map(self, weights: FloatArray) -> FloatArray:
-        """Return source weights with the gain, the offset and the clamp."""
+        """Return source weights with gain, offset and clamp applied."""
         return np.clip(self.gain * weights + self.offset, self.low, self.high)
 
 
@@ -94,7 +94,7 @@ class ShapeLinks:
         return target_weights
 
     def map_sources(self, weights: FloatArray) -> FloatArray:
-        """Return source weights with gain, offset and clamp, each in its own column.
+        """Return source weights with gain, offset and clamp applied, column by column.
 
         Of several links of a source, the last is used; a source without a link keeps
         its weights.
@@ -113,14 +113,14 @@ def load_remap(path: Path | str) -> RemapFile:
 def parse_remap(document: Document) -> RemapFile:
     """Parse a remap document (duplicate entry or invalid clamp: FAC002)."""
     model = validate_file(document, "remap", RemapModel)
-    first_indices: dict[tuple[str, str], int] = {}
+    first_index_by_pair: dict[tuple[str, str], int] = {}
     for i, entry in enumerate(model.shapes):
         shape_pair = (entry.source, entry.target)
-        if shape_pair in first_indices:
+        if shape_pair in first_index_by_pair:
             message = f"{entry.source!r} is paired with {entry.target!r} twice"
-            hint = f"remove it here or from shapes[{first_indices[shape_pair]}]"
+            hint = f"remove it here or from shapes[{first_index_by_pair[shape_pair]}]"
             document.add("FAC002", ("shapes", i), message, hint)
-        first_indices.setdefault(shape_pair, i)
+        first_index_by_pair.setdefault(shape_pair, i)
         if entry.clamp is not None and entry.clamp[0] > entry.clamp[1]:
             message = f"clamp is reversed: {entry.clamp[0]:g} to {entry.clamp[1]:g}"
             document.add("FAC002", ("shapes", i, "clamp"), message, "swap them")
@@ -138,14 +138,14 @@ def link_shapes(
     Names are equal, or spellings of the same ARKit name, such as
     ``blendShape1.eyeBlink_L``.
     """
-    source_indices = _shapes_by_name(source_names)
-    target_indices = _shapes_by_name(target_names)
+    source_indices = _shape_indices_by_name(source_names)
+    target_indices = _shape_indices_by_name(target_names)
     links: list[ShapeLink] = []
     model = None if remap is None else remap.model
     if remap is not None and model is not None:
         document = remap.document
         for i, entry in enumerate(model.shapes):
-            indices = {}
+            index_by_side = {}
             for side, indices_by_name in (
                 ("source", source_indices),
                 ("target", target_indices),
@@ -154,16 +154,18 @@ def link_shapes(
                 shape_index = _find_shape(name, indices_by_name)
                 if shape_index is None:
                     message = f"the {side} has no shape {name!r}"
-                    names = source_names if side == "source" else target_names
-                    hint = name_hint(name, names)
+                    known_names = source_names if side == "source" else target_names
+                    hint = name_hint(name, known_names)
                     document.add("FAC001", ("shapes", i, side), message, hint)
                 else:
-                    indices[side] = shape_index
-            if len(indices) == 2:
+                    index_by_side[side] = shape_index
+            if len(index_by_side) == 2:
                 low, high = entry.clamp or (-np.inf, np.inf)
                 link_values = (entry.gain, entry.offset, low, high)
                 links.append(
-                    ShapeLink(indices["source"], indices["target"], *link_values)
+                    ShapeLink(
+                        index_by_side["source"], index_by_side["target"], *link_values
+                    )
                 )
         document.check()
     linked_sources = {link.source for link in links}
@@ -190,7 +192,7 @@ def _find_shape(name: str, indices_by_name: Mapping[str, int]) -> int | None:
     return indices_by_name.get(name, indices_by_name.get(arkit_name(name) or name))
 
 
-def _shapes_by_name(names: Sequence[str]) -> Mapping[str, int]:
+def _shape_indices_by_name(names: Sequence[str]) -> Mapping[str, int]:
     """Index shapes by all their names, exact ones first."""
     indices_by_name = {name: i for i, name in enumerate(names)}
     for i, name in enumerate(names):

@@ -38,7 +38,7 @@ def _normalize_name(name: str) -> str:
     return re.sub(r"[\s_-]", "", re.split(r"[.:|/]", name)[-1]).lower()
 
 
-_ARKIT_BY_NORMALIZED = {_normalize_name(name): name for name in ARKIT_SHAPES} | {
+_ARKIT_NAME_BY_NORMALIZED = {_normalize_name(name): name for name in ARKIT_SHAPES} | {
     _normalize_name(stem + side[0]): stem + side
     for stem in _SIDED_NAMES.split()
     for side in ("Left", "Right")
@@ -51,7 +51,7 @@ def arkit_name(name: str) -> str | None:
     >>> arkit_name("blendShape1.eye_blink_L"), arkit_name("JawOpen"), arkit_name("grin")
     ('eyeBlinkLeft', 'jawOpen', None)
     """
-    return _ARKIT_BY_NORMALIZED.get(_normalize_name(name))
+    return _ARKIT_NAME_BY_NORMALIZED.get(_normalize_name(name))
 
 
 def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
@@ -62,11 +62,11 @@ def combination_order(shapes: Sequence[Shape]) -> list[Shape]:
     ['smile', 'both']
     """
     shapes_by_name = {shape.name: shape for shape in shapes}
-    dependencies = {
+    dependencies_by_shape = {
         shape.name: [name for name in shape.combine if name in shapes_by_name]
         for shape in shapes
     }
-    return [shapes_by_name[name] for name in dependency_order(dependencies)]
+    return [shapes_by_name[name] for name in dependency_order(dependencies_by_shape)]
 
 
 def add_combinations(
@@ -80,11 +80,13 @@ def add_combinations(
     >>> add_combinations(shapes, own)["both"].tolist()
     [0.25, 0.5]
     """
-    weights = {shape.name: uncombined_weights[shape.name] for shape in shapes}
+    weights_by_shape = {shape.name: uncombined_weights[shape.name] for shape in shapes}
     for shape in combination_order(shapes):
         if shape.combine:
-            weights[shape.name] = weights[shape.name] + _product(shape, weights)
-    return weights
+            weights_by_shape[shape.name] = weights_by_shape[shape.name] + _product(
+                shape, weights_by_shape
+            )
+    return weights_by_shape
 
 
 def subtract_combinations(
@@ -106,9 +108,9 @@ def subtract_combinations(
     }
 
 
-def _product(shape: Shape, weights: Mapping[str, FloatArray]) -> FloatArray:
+def _product(shape: Shape, weights_by_shape: Mapping[str, FloatArray]) -> FloatArray:
     """Return the product of the weights that a shape combines."""
-    product, *other_weights = (weights[name] for name in shape.combine)
+    product, *other_weights = (weights_by_shape[name] for name in shape.combine)
     for weight in other_weights:
         product = product * weight
     return product

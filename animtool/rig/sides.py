@@ -35,8 +35,8 @@ _SIDE_LETTER = (
     r"|(?<![A-Za-z])[{0}{1}](?=[A-Z][a-z])|(?<![A-Za-z0-9]){0}(?=[A-Z])"
     r"|(?<=[a-z]){1}(?![A-Za-z0-9])"
 )
-_LOOKS_LEFT = re.compile(f"{_LEFT_PATTERN}|左|" + _SIDE_LETTER.format("l", "L"))
-_LOOKS_RIGHT = re.compile(f"{_RIGHT_PATTERN}|右|" + _SIDE_LETTER.format("r", "R"))
+_LEFT_MARK = re.compile(f"{_LEFT_PATTERN}|左|" + _SIDE_LETTER.format("l", "L"))
+_RIGHT_MARK = re.compile(f"{_RIGHT_PATTERN}|右|" + _SIDE_LETTER.format("r", "R"))
 # Patterns of left names, most reliable first. The last ones also match unrelated
 # letters, but a partner with the other name must exist anyway.
 _SIDE_PATTERNS = tuple(
@@ -113,7 +113,7 @@ def find_likely_pairs(names: Sequence[str], pairs: SidePairs) -> list[tuple[str,
     [('armLeft', 'arm_right')]
     """
     unpaired_names = [names[i] for i in pairs.unpaired_indices]
-    left_names = [name for name in unpaired_names if _LOOKS_LEFT.search(name)]
+    left_names = [name for name in unpaired_names if _LEFT_MARK.search(name)]
     right_names = [name for name in unpaired_names if name not in left_names]
     likely_pairs = []
     for name in left_names:
@@ -131,7 +131,7 @@ def mirrored_name(name: str) -> str | None:
     >>> mirrored_name("shoulder_l"), mirrored_name("RightArm"), mirrored_name("spine")
     ('shoulder_r', 'LeftArm', None)
     """
-    marks = [*_LOOKS_LEFT.finditer(name), *_LOOKS_RIGHT.finditer(name)]
+    marks = [*_LEFT_MARK.finditer(name), *_RIGHT_MARK.finditer(name)]
     if len(marks) != 1:
         return None
     mark = marks[0]
@@ -146,18 +146,18 @@ def name_side(name: str) -> str:
     """
     if mirrored_name(name) is None:
         return ""
-    return "l" if _LOOKS_LEFT.search(name) else "r"
+    return "l" if _LEFT_MARK.search(name) else "r"
 
 
 def _without_side(name: str) -> str:
     """Return a name without its side, in lower case."""
-    without_words = _LOOKS_RIGHT.sub("", _LOOKS_LEFT.sub("", name))
+    without_words = _RIGHT_MARK.sub("", _LEFT_MARK.sub("", name))
     return re.sub(r"[^a-z0-9]", "", without_words.casefold())
 
 
 def _has_side(name: str) -> bool:
     """Return whether a name contains a mark for left or right."""
-    return bool(_LOOKS_LEFT.search(name) or _LOOKS_RIGHT.search(name))
+    return bool(_LEFT_MARK.search(name) or _RIGHT_MARK.search(name))
 
 
 def _joint_depths(parents: Sequence[int]) -> list[int]:
@@ -171,7 +171,7 @@ def _joint_depths(parents: Sequence[int]) -> list[int]:
 def _candidate_pairs(
     names: Sequence[str], indices_by_name: dict[str, int], depths: Sequence[int]
 ) -> Iterator[tuple[int, int, int, int]]:
-    """Yield each possible pair: depth, rank of the naming, left and right index."""
+    """Yield each possible pair as depth, rank of the naming, left and right index."""
     indices_by_fold: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         indices_by_fold.setdefault(name.casefold(), []).append(i)
@@ -203,7 +203,7 @@ def _right_mark(side_mark: re.Match[str]) -> str:
 
 
 def _opposite_mark(word: str) -> str:
-    """Return the mark of the other side in the same case: of Left, Right."""
+    """Return the other side's mark in the same case, such as Right for Left."""
     other_word = _OTHER_SIDE[word.lower()]
     if word.isupper():
         return other_word.upper()

@@ -205,22 +205,22 @@ class Rig:
     has_rest: bool = field(default=True, repr=False, compare=False)
     placement: Placement | None = field(default=None, repr=False, compare=False)
     has_animated_parents: bool = field(default=False, repr=False, compare=False)
-    _index: dict[str, int] = field(init=False, repr=False, compare=False)
+    _index_by_name: dict[str, int] = field(init=False, repr=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check the tree and index it by name."""
-        index: dict[str, int] = {}
+        index_by_name: dict[str, int] = {}
         faults = []
         for i, joint in enumerate(self.joints):
-            if joint.name in index:
+            if joint.name in index_by_name:
                 faults.append(Fault("RIG001", f"two joints are named {joint.name!r}"))
             if not -1 <= joint.parent < i:
                 message = f"the parent of {joint.name!r} must precede it"
                 faults.append(Fault("RIG003", message))
-            index[joint.name] = i
+            index_by_name[joint.name] = i
         if faults:
             raise OptionError(faults)
-        object.__setattr__(self, "_index", index)
+        object.__setattr__(self, "_index_by_name", index_by_name)
 
     @classmethod
     def load(cls, path: Path | str) -> Rig:
@@ -260,13 +260,13 @@ class Rig:
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).index("lower")
         1
         """
-        if name not in self._index:
+        if name not in self._index_by_name:
             if not isinstance(name, str):
                 raise TypeError(f"name is {name!r}, not the name of a joint")
             message = f"unknown joint {excerpt(name)} of {self.name!r}"
             hint = self.joint_hint(name)
             raise OptionError(Fault("RIG008", message, hint=hint))
-        return self._index[name]
+        return self._index_by_name[name]
 
     def joint_hint(self, name: str, other_names: Sequence[str] = ()) -> str:
         """Return a hint for an unknown joint: the nearest name, or the joint meant.
@@ -278,18 +278,18 @@ class Rig:
         >>> Rig("arm", (Joint("upper", -1), Joint("lower", 0))).joint_hint("lowr")
         "did you mean 'lower'?"
         """
-        names = [*other_names, *self.names]
-        similar_name = most_similar(name, names)
+        known_names = [*other_names, *self.names]
+        similar_name = most_similar(name, known_names)
         if not self.joints or similar_name in other_names:
-            return name_hint(name, names)
+            return name_hint(name, known_names)
         part_names: Any = load_object("animtool.retarget.anatomy:joints_of_part")
         part_text, joints = part_names(self, name)
         if not joints or joints == [similar_name]:
-            return name_hint(name, names)
-        subject = "joint" if len(joints) == 1 else "joints"
+            return name_hint(name, known_names)
+        noun = "joint" if len(joints) == 1 else "joints"
         verb = "is" if len(joints) == 1 else "are"
         joint_text = listed([repr(name) for name in joints])
-        return f"the {subject} of the {part_text} {verb} {joint_text}"
+        return f"the {noun} of the {part_text} {verb} {joint_text}"
 
     def ik(self, *goals: Any, **options: Any) -> Any:
         """Return an `animtool.ik.Session` that solves goals one pose per call.
@@ -300,7 +300,7 @@ class Rig:
             options: Arguments of `animtool.ik.Session`.
 
         Raises:
-            OptionError: As of `animtool.ik.Session`.
+            OptionError: As for `animtool.ik.Session`.
         """
         session: Any = load_object("animtool.ik.session:Session")
         return session(self, *goals, **options)
@@ -320,14 +320,14 @@ class Rig:
     @cached_property
     def drivers(self) -> dict[str, Driver]:
         """Drivers by target: ``joint/NAME``, ``shape/NAME`` or ``control/NAME``."""
-        parts: dict[str, Sequence[Joint | Shape | Control]] = {
+        parts_by_group: dict[str, Sequence[Joint | Shape | Control]] = {
             "joint": self.joints,
             "shape": self.shapes,
             "control": self.controls,
         }
         return {
             f"{kind}/{part.name}": part.driven
-            for kind, parts_of_kind in parts.items()
+            for kind, parts_of_kind in parts_by_group.items()
             for part in parts_of_kind
             if part.driven is not None
         }
@@ -370,12 +370,12 @@ class Rig:
     @cached_property
     def joint_arrays(self) -> JointArrays:
         """Types, columns of coordinates and axes of the joints."""
-        type_numbers = {kind: number for number, kind in enumerate(COORDINATE_WIDTHS)}
+        number_by_type = {kind: number for number, kind in enumerate(COORDINATE_WIDTHS)}
         coordinate_counts = np.array(
             [COORDINATE_WIDTHS[joint.type] for joint in self.joints], np.int64
         )
         return JointArrays(
-            np.array([type_numbers[joint.type] for joint in self.joints], np.int64),
+            np.array([number_by_type[joint.type] for joint in self.joints], np.int64),
             np.cumsum(coordinate_counts) - coordinate_counts,
             np.array([j.axis for j in self.joints], np.float64).reshape(-1, 3),
         )

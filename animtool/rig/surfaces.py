@@ -122,9 +122,9 @@ def _surface(rig: Rig, mesh: Mesh, archives: Archives) -> Surface:
         faces[is_corner],
         None if mesh.normals is None else mesh.normals.load(archives),
         bind,
-        None if mesh.skin is None else _skin(mesh.skin, archives),
+        None if mesh.skin is None else _surface_skin(mesh.skin, archives),
         tuple(
-            _shape(shape, len(points), unit, archives)
+            _surface_shape(shape, len(points), unit, archives)
             for shape in rig.shapes
             if shape.mesh == mesh.name and _has_deltas(shape)
         ),
@@ -140,7 +140,7 @@ def _subdivision_scheme(mesh: Mesh) -> Subdivision:
     return Subdivision.CATMULL_CLARK if has_no_normals else Subdivision.NONE
 
 
-def _skin(skin: Skin, archives: Archives) -> SurfaceSkin:
+def _surface_skin(skin: Skin, archives: Archives) -> SurfaceSkin:
     """Return a skin binding with its arrays in memory."""
     indices = skin.indices.load(archives).astype(np.int64)
     return SurfaceSkin(skin.method, skin.joints, indices, skin.weights.load(archives))
@@ -152,7 +152,7 @@ def _has_deltas(shape: Shape) -> bool:
     return any(array is not None for array in arrays)
 
 
-def _shape(
+def _surface_shape(
     shape: Shape, point_count: int, unit: float, archives: Archives
 ) -> SurfaceShape:
     """Read a shape of a mesh; deltas are 0 if it only changes normals."""
@@ -230,7 +230,7 @@ def with_array_file(
 
 Part = TypeVar("Part", Mesh, Skin, Shape, Inbetween, Attachment)
 # Suffix of the array's name in a file, by field of each part.
-_SUFFIXES: dict[type, dict[str, str]] = {
+_ARRAY_SUFFIXES: dict[type, dict[str, str]] = {
     Mesh: {"points": "_points", "faces": "_faces", "normals": "_normals"},
     Skin: {"indices": "_joints", "weights": "_weights"},
     Shape: {"deltas": "", "normals": "_normals", "vertices": "_vertices"},
@@ -251,13 +251,13 @@ class _ArrayStore:
 
     def with_references(self, part: Part, name: str) -> Part:
         """Return a part of a rig whose arrays are references to files."""
-        references: dict[str, Any] = {
+        reference_by_field: dict[str, Any] = {
             key: self._store_array(
                 getattr(part, key), name + suffix, is_integer=key in _INTEGER_FIELDS
             )
-            for key, suffix in _SUFFIXES[type(part)].items()
+            for key, suffix in _ARRAY_SUFFIXES[type(part)].items()
         }
-        return replace(part, **references)
+        return replace(part, **reference_by_field)
 
     def _store_array(
         self, source: ArraySource | None, name: str, *, is_integer: bool

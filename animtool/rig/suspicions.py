@@ -24,7 +24,7 @@ from animtool.rig.suspicious_shape import HINGE_NAMES
 ANGLE_NAMES = {"deg": "degrees", "rad": "radians"}
 # A driver with more inputs is not checked at their ends.
 MAX_INPUTS = 4
-OTHER_ANGLE_UNITS = {
+OTHER_ANGLE_UNIT_AND_FACTOR = {
     "deg": ("rad", math.degrees(1.0)),
     "rad": ("deg", math.radians(1.0)),
 }
@@ -79,7 +79,7 @@ def warn_of_angles(
     document: Document, joints: Sequence[JointModel], angle_unit: str
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
-    intended_unit, factor = OTHER_ANGLE_UNITS[angle_unit]
+    intended_unit, factor = OTHER_ANGLE_UNIT_AND_FACTOR[angle_unit]
     suspicious_limits = limits_in_other_unit(_joint_limits(joints), angle_unit)
     if not suspicious_limits:
         return
@@ -262,15 +262,15 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
     The same for degrees in a rig in radians.
     """
     declared_unit = "deg" if rig.radians_per_unit != 1.0 else "rad"
-    intended_unit, factor = OTHER_ANGLE_UNITS[declared_unit]
-    default_values = {
+    intended_unit, factor = OTHER_ANGLE_UNIT_AND_FACTOR[declared_unit]
+    default_by_control = {
         control.name: np.array([control.default]) for control in rig.controls
     }
     for control in rig.controls:
         for k, drive in enumerate(control.drives):
             if not drive.is_angle:
                 continue
-            largest_value = _max_drive_value(control, drive, default_values)
+            largest_value = _max_drive_value(control, drive, default_by_control)
             if not _is_in_other_unit(rig, largest_value, drive.target):
                 continue
             message = (
@@ -281,11 +281,11 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             hint = f"for {ANGLE_NAMES[declared_unit]} the result is "
             hint += f"{largest_value * factor:.4g}; "
             hint += f"multiply the expression by {factor:.6g}"
-            names = [entry.get("name") for entry in document.value["controls"]]
-            location = ("controls", names.index(control.name), "drives", k)
+            control_names = [entry.get("name") for entry in document.value["controls"]]
+            location = ("controls", control_names.index(control.name), "drives", k)
             document.warn("RIG112", location, message, hint)
             return
-    entries = {
+    entry_index_by_joint = {
         entry.get("name"): i for i, entry in enumerate(document.value.get("joints", ()))
     }
     for joint in rig.joints:
@@ -293,7 +293,7 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             continue
         target = f"joint/{joint.name}.angle"
         largest_value = _max_driver_value(rig, joint.driven)
-        if joint.name not in entries or not _is_in_other_unit(
+        if joint.name not in entry_index_by_joint or not _is_in_other_unit(
             rig, largest_value, target
         ):
             continue
@@ -302,7 +302,7 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             f"{ANGLE_NAMES[intended_unit]}, but units.angle is {declared_unit}"
         )
         hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
-        i = entries[joint.name]
+        i = entry_index_by_joint[joint.name]
         document.warn("RIG112", ("joints", i, "driven"), message, hint)
         return
 
@@ -327,8 +327,8 @@ def _max_driver_value(rig: Rig, driver: Driver) -> float:
     combinations = np.array(list(itertools.product(*input_ends))).reshape(
         -1, len(input_ends)
     )
-    columns = {name: combinations[:, i] for i, name in enumerate(driver.names)}
-    values = np.abs(driver.evaluate(columns) / driver.unit)
+    values_by_input = {name: combinations[:, i] for i, name in enumerate(driver.names)}
+    values = np.abs(driver.evaluate(values_by_input) / driver.unit)
     return float(values.max()) if np.isfinite(values).all() else 0.0
 
 
@@ -345,21 +345,21 @@ def _input_ends(rig: Rig, name: str) -> tuple[float, ...]:
 
 
 def _max_drive_value(
-    control: Control, drive: Drive, default_values: dict[str, FloatArray]
+    control: Control, drive: Drive, default_by_control: dict[str, FloatArray]
 ) -> float:
     """Return a drive's largest value over its control's range [file's angle]."""
     if control.low is None or control.high is None:
         return 0.0
-    range_values = {
-        **default_values,
+    values_by_control = {
+        **default_by_control,
         control.name: np.array([control.low, control.high]),
     }
-    values = np.abs(drive.evaluate(control.name, range_values) / drive.unit)
+    values = np.abs(drive.evaluate(control.name, values_by_control) / drive.unit)
     return float(values.max()) if np.isfinite(values).all() else 0.0
 
 
 def _is_radians(value: float) -> bool:
-    """Return whether a value is a multiple of 90 degrees in radians."""
+    """Return whether a value is a common angle, such as 15 or 90°, in radians."""
     right_angle = math.radians(90)
     nearest_multiple = round(value / right_angle) * right_angle
     difference = abs(value - nearest_multiple)

@@ -23,7 +23,7 @@ RADIUS_RANGE = (0.001, 0.3)
 # Mass of a body per cube of its size, from which on it is in grams: people have 5,
 # elephants 60, robots of steel 300 [kg/m³].
 MAX_BODY_DENSITY = 1000.0
-_TRIGONOMETRIC = frozenset({"sin", "cos", "tan"})
+_TRIGONOMETRIC_FUNCTIONS = frozenset({"sin", "cos", "tan"})
 # Lengths of ranges in degrees: quarters of a revolution up to a whole one.
 _QUARTER_REVOLUTION = 90.0
 # Ends of such ranges are multiples of this [deg].
@@ -52,10 +52,12 @@ def _warn_of_radii(document: Document, model: RigModel, rig_size: float) -> None
     radius = radii[large_indices[0]]
     likely_unit = next(
         (
-            other
-            for other in (LengthUnit.CM, LengthUnit.MM)
-            if other.meters < unit
-            and RADIUS_RANGE[0] <= radius * other.meters / rig_size <= RADIUS_RANGE[1]
+            other_unit
+            for other_unit in (LengthUnit.CM, LengthUnit.MM)
+            if other_unit.meters < unit
+            and RADIUS_RANGE[0]
+            <= radius * other_unit.meters / rig_size
+            <= RADIUS_RANGE[1]
         ),
         None,
     )
@@ -93,7 +95,7 @@ def _warn_of_degrees(document: Document, rig: Rig) -> None:
         program = expression.postfix_program()
         for (kind, name), (next_kind, function) in pairwise(program):
             is_call = kind == "name" and next_kind == "call"
-            if not is_call or function not in _TRIGONOMETRIC:
+            if not is_call or function not in _TRIGONOMETRIC_FUNCTIONS:
                 continue
             reason = _degrees_reason(rig, str(name))
             if reason is None:
@@ -112,11 +114,11 @@ def _expressions(document: Document, rig: Rig) -> Iterator[tuple[Location, Expre
         for k, drive in enumerate(drives):
             if drive.expression is not None:
                 yield ("controls", i, "drives", k, "expr"), drive.expression
-    drivers = {
+    drivers_by_key = {
         "joints": {joint.name: joint.driven for joint in rig.joints},
         "shapes": {shape.name: shape.driven for shape in rig.shapes},
     }
-    for key, drivers_by_name in drivers.items():
+    for key, drivers_by_name in drivers_by_key.items():
         for i, entry in enumerate(document.value.get(key, ())):
             driver = drivers_by_name.get(entry.get("name"))
             if driver is not None and driver.expression is not None:

@@ -36,7 +36,7 @@ MAX_WORLD_RATIO, MAX_BODY_RATIO = 0.3, 0.6
 # Fewer offsets, or ones that repeat, tell nothing.
 MIN_OFFSETS, MIN_WORLD_BONE = 3, 1e-3
 # Joints closer than this fraction of the rig's size are in the same place [1].
-SAME_POSITION = 1e-4
+SAME_POSITION_FRACTION = 1e-4
 
 
 def rest_pose_without_kernels(rig: Rig) -> tuple[FloatArray, FloatArray]:
@@ -101,16 +101,16 @@ def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
     """
     size_ranges = [BODY_SIZES] if is_body else []
     for smallest, largest in (*size_ranges, (MIN_BODY_SIZE, MAX_RIG_SIZE)):
-        sizes = [
-            (other, size / unit * other.meters)
-            for other in LengthUnit
-            if other.meters != unit
-            and smallest <= size / unit * other.meters <= largest
+        units_and_sizes = [
+            (other_unit, size / unit * other_unit.meters)
+            for other_unit in LengthUnit
+            if other_unit.meters != unit
+            and smallest <= size / unit * other_unit.meters <= largest
         ]
-        if sizes:
+        if units_and_sizes:
             return "write " + ", or ".join(
-                f"'units: {{length: {other}}}': {length_text(new_size)}"
-                for other, new_size in sizes
+                f"'units: {{length: {other_unit}}}': {length_text(new_size)}"
+                for other_unit, new_size in units_and_sizes
             )
     return None
 
@@ -143,13 +143,13 @@ def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) 
     j = int(child_joints[(distances - lengths).argmax()])
     name, parent = rig.names[j], rig.names[int(parents[j])]
     bone = (offsets[j] - offsets[parents[j]]) / rig.meters_per_unit
-    sizes = (
+    size_texts = (
         length_text(float(np.linalg.norm(np.ptp(points, axis=0))))
         for points in (positions, offsets)
     )
     message = (
         f"the offsets of {len(child_joints)} joints look like world positions: the rig "
-        "measures {}, and {} if they are".format(*sizes)
+        "measures {}, and {} if they are".format(*size_texts)
     )
     hint = f"write positions relative to the parent; for {name!r}, from {parent!r}: "
     hint += f"translate: {_numbers_text(bone)}"
@@ -229,7 +229,9 @@ def equal_sides(rig: Rig, positions: FloatArray) -> list[tuple[int, int]]:
         rig: Rig of J joints.
         positions: World positions at rest ``(J, 3)`` [m].
     """
-    tolerance = SAME_POSITION * float(np.ptp(positions, axis=0).max(initial=0.0))
+    tolerance = SAME_POSITION_FRACTION * float(
+        np.ptp(positions, axis=0).max(initial=0.0)
+    )
     pairs = pair_sides(rig.names, rig.parents)
     return [
         (left, right)

@@ -23,9 +23,9 @@ MIN_REVERSED_FRACTION = 0.8
 
 def warn_of_strands(document: Document, model: RigModel, rig: Rig) -> None:
     """Warn of strands whose tips are at the surface, and not their roots (RIG119)."""
-    attachments = {entry.name: entry for entry in rig.attach}
+    attachment_by_name = {entry.name: entry for entry in rig.attach}
     for i, entry in enumerate(model.attach):
-        attachment = attachments.get(entry.name)
+        attachment = attachment_by_name.get(entry.name)
         if attachment is None or attachment.kind != AttachKind.STRANDS:
             continue
         try:
@@ -105,7 +105,7 @@ def _bind_points(mesh: Mesh, archives: Archives) -> FloatArray:
 def _nearest_vertices(
     points: FloatArray, vertices: FloatArray
 ) -> tuple[FloatArray, IntArray]:
-    """Return the distances of points ``(N, 3)`` to the nearest vertices, and these."""
+    """Return the distance and index of the vertex nearest to each point ``(N, 3)``."""
     squared_distances = np.full(len(points), np.inf)
     nearest_indices = np.zeros(len(points), np.int64)
     chunk_size = max(1, CHUNK_SIZE // max(1, len(points)))

@@ -43,7 +43,8 @@ def rig_text(rig: Rig) -> str:
     text_lines = [
         "rig: animtool/1",
         f"name: {yaml_scalar(rig.name)}",
-        f"units: {{length: {formatter.name}, angle: {formatter.angle_name}}}",
+        f"units: {{length: {formatter.length_unit_name}, "
+        f"angle: {formatter.angle_unit_name}}}",
         f"up: {rig.up}",
         "joints:" if rig.joints else "joints: []",
     ]
@@ -55,10 +56,10 @@ def rig_text(rig: Rig) -> str:
             parent = rig.joints[joint.parent].name if joint.parent >= 0 else None
             text_lines.append(f"- {formatter.joint_entry(joint, parent, rig)}")
             written_names.add(joint.name)
-    bind = {**_poses_at_rest(rig), **_explicit_bind(rig)}
-    if bind:
+    bind_poses = {**_poses_at_rest(rig), **_explicit_bind(rig)}
+    if bind_poses:
         text_lines.append("bind:")
-        for name, pose in bind.items():
+        for name, pose in bind_poses.items():
             entry = _flow_mapping(
                 translate=formatter.vector_text(pose.translation),
                 rotate=_quaternion_text(pose.rotation),
@@ -84,17 +85,17 @@ class _EntryFormatter:
     """Formats the entries of a rig file in the units of the rig."""
 
     def __init__(self, rig: Rig) -> None:
-        self.name = unit_name(rig.meters_per_unit)
-        self.meters = rig.meters_per_unit
-        if " " in self.name:
+        self.length_unit_name = unit_name(rig.meters_per_unit)
+        self.length_unit = rig.meters_per_unit
+        if " " in self.length_unit_name:
             # The format has no name for this unit.
-            self.name, self.meters = "m", 1.0
-        self.radians = 1.0 if rig.radians_per_unit == 1.0 else math.radians(1.0)
-        self.angle_name = "rad" if self.radians == 1.0 else "deg"
+            self.length_unit_name, self.length_unit = "m", 1.0
+        self.angle_unit = 1.0 if rig.radians_per_unit == 1.0 else math.radians(1.0)
+        self.angle_unit_name = "rad" if self.angle_unit == 1.0 else "deg"
 
     def length_text(self, value: float) -> str:
         """Return a length as text in the unit of the file."""
-        return scaled_decimal(value, self.meters)
+        return scaled_decimal(value, self.length_unit)
 
     def vector_text(self, values: Sequence[float]) -> str:
         """Return a vector of lengths as text in the unit of the file."""
@@ -156,14 +157,14 @@ class _EntryFormatter:
         limits = joint.limits
         if isinstance(limits, RangeLimit):
             is_sliding = joint.type is JointType.PRISMATIC
-            unit = self.meters if is_sliding else self.radians
+            unit = self.length_unit if is_sliding else self.angle_unit
             return self.range_text((limits.low, limits.high), unit)
         if not isinstance(limits, BallLimit):
             return None
-        swing = self.range_text(limits.swing, self.radians)
+        swing = self.range_text(limits.swing, self.angle_unit)
         if limits.swing is not None and limits.swing[0] == limits.swing[1]:
-            swing = scaled_decimal(limits.swing[0], self.radians)
-        twist = self.range_text(limits.twist, self.radians)
+            swing = scaled_decimal(limits.swing[0], self.angle_unit)
+        twist = self.range_text(limits.twist, self.angle_unit)
         twist = "locked" if limits.twist == (0.0, 0.0) else twist
         axis = _number_list(limits.twist_axis)
         return _flow_mapping(swing=swing, twist=twist, twist_axis=axis)
@@ -174,7 +175,7 @@ class _EntryFormatter:
             return None
         leader = rig.joints[rig.index(joint.mimic.joint)]
         unit, leader_unit = (
-            self.meters if type_ is JointType.PRISMATIC else self.radians
+            self.length_unit if type_ is JointType.PRISMATIC else self.angle_unit
             for type_ in (joint.type, leader.type)
         )
         gain = decimal_text(joint.mimic.gain * leader_unit / unit)
@@ -220,7 +221,11 @@ class _EntryFormatter:
         """Return a control's drive as a YAML mapping, in the file's units."""
         kind, _, name = drive.target.partition("/")
         unit = (
-            self.meters if drive.is_length else self.radians if drive.is_angle else 1.0
+            self.length_unit
+            if drive.is_length
+            else self.angle_unit
+            if drive.is_angle
+            else 1.0
         )
         # Equal units up to rounding.
         factor = drive.unit / unit
@@ -242,14 +247,16 @@ class _EntryFormatter:
         """Return a driver as a YAML mapping in the file's units, or None."""
         if driver is None:
             return None
-        units = {None: 1.0, JointType.PRISMATIC: self.meters}
-        factor = driver.unit / units.get(joint_type, self.radians)
+        unit_by_joint_type = {None: 1.0, JointType.PRISMATIC: self.length_unit}
+        factor = driver.unit / unit_by_joint_type.get(joint_type, self.angle_unit)
         unit_of = self.unit_of_coordinate
-        ratios = {name: unit_of(name) / driver.unit_of(name) for name in driver.names}
+        ratio_by_input = {
+            name: unit_of(name) / driver.unit_of(name) for name in driver.names
+        }
         if driver.expression is not None:
-            text = _expression_text(driver.expression, ratios, factor)
+            text = _expression_text(driver.expression, ratio_by_input, factor)
             return _flow_mapping(expr=text)
-        ratio = ratios[driver.curve_input]
+        ratio = ratio_by_input[driver.curve_input]
         points = [(x / ratio, y * factor) for x, y in driver.curve]
         return _flow_mapping(
             by=yaml_scalar(driver.curve_input),
@@ -262,23 +269,25 @@ class _EntryFormatter:
         joint, part = split_coordinate(name)
         if not joint:
             return 1.0
-        return self.meters if part == SLIDE else self.radians
+        return self.length_unit if part == SLIDE else self.angle_unit
 
 
 def _mirrors_drivers(rig: Rig) -> bool:
     """Return whether the drivers of both sides are mirror images."""
     if not rig.is_driven:
         return True
-    joints = {joint.name: joint for joint in rig.joints}
-    partners = {joint.name: joint.mirror for joint in rig.joints if joint.mirror}
+    joint_by_name = {joint.name: joint for joint in rig.joints}
+    partner_by_joint = {
+        joint.name: joint.mirror for joint in rig.joints if joint.mirror
+    }
     written_names: set[str] = set()
     for joint in rig.joints:
-        partner = joints.get(joint.mirror)
+        partner = joint_by_name.get(joint.mirror)
         if partner is None or joint.mirror in written_names:
             continue
         written_names.add(joint.name)
         driver = joint.driven
-        mirrored_driver = None if driver is None else driver.mirrored(partners)
+        mirrored_driver = None if driver is None else driver.mirrored(partner_by_joint)
         if mirrored_driver != partner.driven:
             return False
     return True
@@ -286,14 +295,14 @@ def _mirrors_drivers(rig: Rig) -> bool:
 
 def _explicit_bind(rig: Rig) -> dict[str, Pose]:
     """Return the bind poses that differ from rest by more than rounding."""
-    poses = {}
+    pose_by_joint = {}
     for name, pose in rig.bind.items():
         joint = rig.joints[rig.index(name)]
         rest_pose = (joint.translation, joint.rotation)
         is_rounding = pose.stretch is not None and _stretch_text(pose) is None
         if not (is_rounding and (pose.translation, pose.rotation) == rest_pose):
-            poses[name] = pose
-    return poses
+            pose_by_joint[name] = pose
+    return pose_by_joint
 
 
 def _stretch_text(pose: Pose) -> str | None:
@@ -329,13 +338,13 @@ def _chain_entry(chain: IkChain) -> str:
 
 def _attachment_entry(entry: Attachment) -> str:
     """Return an attachment as a YAML mapping that refers to array files."""
-    joints = {"joints": _name_list(entry.joints) if entry.joints else None}
+    joint_keys = {"joints": _name_list(entry.joints) if entry.joints else None}
     if entry.kind == AttachKind.STRANDS:
-        joints = {"joint": yaml_scalar(entry.joints[0])}
+        joint_keys = {"joint": yaml_scalar(entry.joints[0])}
     return _flow_mapping(
         name=yaml_scalar(entry.name),
         kind=yaml_scalar(entry.kind),
-        **joints,
+        **joint_keys,
         mesh=yaml_scalar(entry.mesh) if entry.mesh else None,
         pins=_array_path(entry.pins),
         points=_array_path(entry.points),
@@ -372,15 +381,17 @@ def _array_path(source: ArraySource | None) -> str | None:
 
 
 def _expression_text(
-    expression: Expression, factors: Mapping[str, float], factor: float
+    expression: Expression, factor_by_name: Mapping[str, float], factor: float
 ) -> str:
     """Return an expression as a YAML scalar in quotes.
 
     Its names and its result are multiplied by factors; factors of 1 keep its spelling.
     """
     text = expression.text
-    if factor != 1.0 or any(name_factor != 1.0 for name_factor in factors.values()):
-        text = expression.scaled_text(factors, factor)
+    if factor != 1.0 or any(
+        name_factor != 1.0 for name_factor in factor_by_name.values()
+    ):
+        text = expression.scaled_text(factor_by_name, factor)
     escaped_text = text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
     return f'"{escaped_text}"'
 

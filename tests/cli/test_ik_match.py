@@ -12,7 +12,7 @@ from support.cli import animtool
 
 from animtool import Clip, Rig, Take, open_source
 from animtool.ik import load_targets
-from animtool.ik.values import ArrayRows, Constant, KeyedValue
+from animtool.ik.values import ArrayRows, ConstantValue, KeyedValue
 
 BIPED = "rigs/biped/biped.rig.yaml"
 STRIDE = "samples/stride/stride.clip.yaml"
@@ -122,8 +122,8 @@ def test_takes_of_other_files_are_matched(place: Path, suffix: str) -> None:
         ((), ArrayRows, 4),
         (("--chains", "leg_*"), ArrayRows, 2),
         (("--reduce", "1mm"), KeyedValue, 4),
-        (("--pose",), Constant, 4),
-        (("--pose", "12", "--chains", "arm_l, leg_r"), Constant, 2),
+        (("--pose",), ConstantValue, 4),
+        (("--pose", "12", "--chains", "arm_l, leg_r"), ConstantValue, 2),
     ],
 )
 def test_what_is_written(

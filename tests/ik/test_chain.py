@@ -12,7 +12,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.ik import Goal, Problem, Targets, build
 from animtool.ik.chain import apply_steps, joint_steps, unwrap_angles, with_periods
-from animtool.ik.goals import KINDS, PARTS, GoalKind, pack
+from animtool.ik.goals import GOAL_KINDS, GOAL_PARTS, GoalKind, pack
 from animtool.ik.solving import pack_for_chain
 from animtool.maths import so3
 from animtool.rig.limits import RangeLimit
@@ -26,8 +26,8 @@ def look(
     chain = problem.chain
     found = _kernels.linearize_ik(
         chain.nodes,
-        chain.numbers,
-        chain.goals,
+        chain.node_numbers,
+        chain.goal_nodes,
         chain.goal_numbers,
         chain.from_rig(start),
         targets,
@@ -63,7 +63,7 @@ def test_targets_are_seen_from_the_nodes_in_shares_of_the_length(scale: float) -
     targets = Targets(points[0], scale * rng.normal(size=(*shape, 4)), *points[1:])
     expected = pack(targets, problem.goals)
     expected[:, :, [0, 1, 2, 7, 8, 9, 10, 11, 12]] /= problem.length
-    undo = so3.conjugate(problem.chain.goal_frames)
+    undo = so3.conjugate(problem.chain.goal_rotations)
     expected[:, :, 3:7] = so3.multiply(so3.normalize(expected[:, :, 3:7]), undo)
     found = pack_for_chain(problem, targets)
     np.testing.assert_allclose(found, expected, rtol=1e-14, atol=1e-15)
@@ -109,7 +109,7 @@ def test_the_gradient_is_exact_far_from_the_goals(seed: int) -> None:
         assert abs((ahead - behind) / 2e-6 - gradient[d]) < 1e-8
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=PARTS)
+@pytest.mark.parametrize("kind", GOAL_KINDS, ids=GOAL_PARTS)
 def test_the_gradient_of_each_kind_is_exact(kind: GoalKind) -> None:
     weights = {"position": 0.0} | {kind.name: 0.6}
     goal = Goal("piston", (0.05, 0.0, 0.0), aim_axis=(0.6, 0.0, 0.8), **weights)
@@ -167,7 +167,7 @@ def test_a_follower_moves_with_its_leader_within_both_limits() -> None:
     )
     problem = build(rig, [Goal("b", (1.0, 0.0, 0.0))])
     assert problem.degrees == 1
-    low, high = problem.chain.numbers[0, 14:16]
+    low, high = problem.chain.node_numbers[0, 14:16]
     np.testing.assert_allclose([low, high], [-0.8, 1.2])
     jacobian = look(
         problem,

@@ -79,8 +79,8 @@ def linearized(
     zero = np.zeros((len(q), problem.degrees))
     found = _kernels.linearize_ik(
         chain.nodes,
-        chain.numbers,
-        chain.goals,
+        chain.node_numbers,
+        chain.goal_nodes,
         chain.goal_numbers,
         chain.from_rig(q),
         pack_for_chain(problem, targets),
@@ -300,14 +300,14 @@ def test_programs_that_make_no_sense_are_refused(rows: list[list[int]]) -> None:
     chain = problem.chain
     own = chain.nodes[:, 0] < 3
     nodes = np.concatenate([chain.nodes[own], np.array(rows, np.int64).reshape(-1, 4)])
-    numbers = np.concatenate([chain.numbers[own], np.zeros((len(rows), 18))])
+    numbers = np.concatenate([chain.node_numbers[own], np.zeros((len(rows), 18))])
     q = poses(problem.rig, 1)
     packed = pack_for_chain(problem, Targets(tips(problem.rig, q)[0]))
     with pytest.raises(ValueError, match="nodes"):
         _kernels.linearize_ik(
             nodes,
             numbers,
-            chain.goals,
+            chain.goal_nodes,
             chain.goal_numbers,
             chain.from_rig(q),
             packed,

@@ -8,7 +8,7 @@ from support.marked import FIGURE, TEMPLATE, captured, joint_errors, moving
 
 from animtool.core.array_types import FloatArray
 from animtool.ik.fit import ANCHOR_WEIGHT, FitOptions, fit
-from animtool.ik.goals import KINDS, Goal, Targets
+from animtool.ik.goals import GOAL_KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.rig.limits import RangeLimit
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -18,7 +18,7 @@ FPS = 50.0
 
 def weighted(problem: Problem, weights: FloatArray) -> FloatArray:
     """Return weights ``(F, E)`` of positions, in lengths of a problem, of all kinds."""
-    out = np.zeros((*weights.shape, len(KINDS)))
+    out = np.zeros((*weights.shape, len(GOAL_KINDS)))
     out[:, :, 0] = weights * problem.length
     return out
 

@@ -8,7 +8,7 @@ from support.faults import raises
 
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, Targets
-from animtool.ik.goals import KINDS, WEIGHT_COLUMNS, GoalKind, pack
+from animtool.ik.goals import GOAL_KINDS, WEIGHT_COLUMNS, GoalKind, pack
 
 GOALS = (Goal("a", orientation=1.0), Goal("b", position=0.0, aim=1.0))
 
@@ -57,9 +57,9 @@ def test_weights_must_fit_the_goals_and_be_numbers_from_zero() -> None:
     parts = [np.zeros((2, 2, 3)), np.ones((2, 2, 4)), np.zeros((2, 2, 3)), None]
     for weights, code in [
         (np.ones((2, 2)), "IK010"),
-        (np.ones((3, 2, len(KINDS))), "IK010"),
-        (np.full((2, 2, len(KINDS)), -1.0), "TGT007"),
-        (np.full((2, 2, len(KINDS)), np.nan), "TGT007"),
+        (np.ones((3, 2, len(GOAL_KINDS))), "IK010"),
+        (np.full((2, 2, len(GOAL_KINDS)), -1.0), "TGT007"),
+        (np.full((2, 2, len(GOAL_KINDS)), np.nan), "TGT007"),
     ]:
         with pytest.raises(OptionError) as caught:
             pack(Targets(*parts, weights), GOALS)
@@ -71,7 +71,7 @@ def test_a_target_may_be_anything_in_the_frames_that_do_not_ask_for_it() -> None
     positions[1] = np.nan
     rotations = np.ones((2, 2, 4))
     rotations[1] = 0.0
-    aims, weights = np.zeros((2, 2, 3)), np.ones((2, 2, len(KINDS)))
+    aims, weights = np.zeros((2, 2, 3)), np.ones((2, 2, len(GOAL_KINDS)))
     weights[1, :, :2] = 0.0
     packed = pack(Targets(positions, rotations, aims, None, weights), GOALS)
     assert np.isfinite(packed).all()
@@ -88,7 +88,7 @@ def test_targets_that_are_no_numbers_are_refused_by_name(values: object) -> None
         pack(Targets(positions=values), (Goal("a"),))  # type: ignore[arg-type]
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: str(kind.name))
+@pytest.mark.parametrize("kind", GOAL_KINDS, ids=lambda kind: str(kind.name))
 def test_a_target_in_the_place_of_a_weight_is_refused(kind: GoalKind) -> None:
     target = [0.0] * kind.value_type.value
     with pytest.raises(OptionError) as caught:

@@ -18,9 +18,9 @@ from animtool.ik import Goal, IkStatus, Targets, build, result, take_run
 from animtool.ik.chain_frame import check_scales
 from animtool.ik.clip_path import ClipPath
 from animtool.ik.goals import (
-    KINDS,
+    GOAL_KINDS,
+    GOAL_PARTS,
     MAX_COORDINATE,
-    PARTS,
     TARGET_COLUMNS,
     WEIGHT_COLUMNS,
     goal_faults,
@@ -36,7 +36,7 @@ from animtool.ik.match_take import (
 )
 from animtool.ik.matching import _BendingLimb, _normalize, _pole_positions
 from animtool.ik.nearest import (
-    _limit_combinations,
+    _joint_limit_poses,
     _replace_rows,
     frames_out_of_reach,
 )
@@ -57,7 +57,7 @@ from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swing_towa
 from animtool.ik.two_bone import bend_angle, incompatibility, perpendicular_vectors
 from animtool.ik.values import (
     ArrayRows,
-    Constant,
+    ConstantValue,
     PrimPoint,
     PrimRotation,
     SampleFrames,
@@ -160,7 +160,7 @@ def test_what_a_prim_carries_is_asked_for_in_seconds() -> None:
     found = PrimRotation(motion, tuple(turn.tolist())).sample(frames)
     assert_allclose(found, [so3.multiply(HALF, turn)] * 2, atol=1e-12)
     assert asked == [[0.5, 1.5]] * 2
-    assert Constant((1.0, 2.0)).sample(frames).tolist() == [[1, 2]] * 2
+    assert ConstantValue((1.0, 2.0)).sample(frames).tolist() == [[1, 2]] * 2
 
 
 def test_vectors_swing_by_a_share_of_their_angle() -> None:
@@ -192,7 +192,7 @@ def test_a_point_on_the_way_to_its_target_goes_straight_where_the_limb_is_bent()
     own = effector(offset=(0.0, 0.1, 0.0))
     assert_allclose(own.position(), [[1.3, 0.5, 0]])
     values = np.array([[1.7, 0.1, 0.4]])
-    position, orientation, aim, pole = KINDS
+    position, orientation, aim, pole = GOAL_KINDS
     for share, expected in (
         (0.0, values[0]),
         (0.25, [1.4, 0.4, 0.1]),
@@ -225,14 +225,14 @@ def test_a_straight_limb_goes_about_its_root_as_it_bends_evenly() -> None:
     rig = Rig("limb", joints)
     own = FreeEffector(rig, Goal("tip"), rest_world(rig))
     found = own.blend_from_free_motion(
-        KINDS[0], np.array([[0.0, 0.6, 0]]), np.array([0.5])
+        GOAL_KINDS[0], np.array([[0.0, 0.6, 0]]), np.array([0.5])
     )
     # It ends bent by 2 acos(0.6): half of that leaves cos(acos(0.6) / 2) of a metre.
     far = np.cos(np.arccos(0.6) / 2)
     assert_allclose(found, [[far * 0.5**0.5, far * 0.5**0.5, 0]], atol=1e-9)
     # What is out of reach is gone to beyond it.
     found = own.blend_from_free_motion(
-        KINDS[0], np.array([[0.0, 3.0, 0]]), np.array([0.5])
+        GOAL_KINDS[0], np.array([[0.0, 3.0, 0]]), np.array([0.5])
     )
     assert np.linalg.norm(found) == pytest.approx(2.0)
     assert own._has_fixed_root(0)
@@ -244,7 +244,8 @@ def track(**keys: Any) -> GoalTrack:
     goal = Goal("tip")
     given: dict[str, Any] = {
         "name": "hand", "goal": goal, "chain": None,
-        "values": dict.fromkeys(PARTS) | {"position": Constant((1.0, 2.0, 3.0))},
+        "values": dict.fromkeys(GOAL_PARTS)
+        | {"position": ConstantValue((1.0, 2.0, 3.0))},
         "weights": {}, "spans": (), "ease": 2.0, "hold_parts": frozenset(),
     }  # fmt: skip
     return GoalTrack(**{**given, **keys})
@@ -270,7 +271,7 @@ def test_what_is_asked_in_spans_comes_and_goes_with_its_weight() -> None:
     clock = replace(TargetTracks(Path("a"), None, Fraction(1), Fraction(9), ()).clock)
     every = np.repeat(world.positions, 9, 0), np.repeat(world.linear, 9, 0)
     whole = replace(world, positions=every[0], linear=every[1])
-    goal = track(during=((4.0, 6.0),), weights={"position": Constant((-0.5,))})
+    goal = track(during=((4.0, 6.0),), weights={"position": ConstantValue((-0.5,))})
     plain = track(goal=Goal("tip", pole=0.0), during=((4.0, 6.0),))
     made = TargetTracks(Path("a"), None, None, None, (goal, plain)).sample(
         rig, clock, whole
@@ -579,12 +580,12 @@ def test_starts_are_ends_and_middles_of_limits() -> None:
     rig = arm(4, 1.0)
     problem = build(rig, [Goal("b3", (0.4, 0.0, 0.0))])
     home = problem.chain.from_rig(np.full((1, 4), 0.25))[0]
-    found = np.array(list(_limit_combinations(problem.chain, home, 27)))
+    found = np.array(list(_joint_limit_poses(problem.chain, home, 27)))
     assert found.shape == (27, 4)
     assert sorted({*found[:, 0].tolist()}) == pytest.approx([-1, 0, 1], abs=1e-9)
     assert_allclose(found[:, 3], home[3])
-    assert len(list(_limit_combinations(problem.chain, home, 3))) == 3
-    assert len(list(_limit_combinations(problem.chain, home, 2))) == 1
+    assert len(list(_joint_limit_poses(problem.chain, home, 3))) == 3
+    assert len(list(_joint_limit_poses(problem.chain, home, 2))) == 1
 
 
 @pytest.mark.parametrize(

@@ -25,7 +25,7 @@ from animtool.ik.match_take import (
     match_take,
     untracked_motion_notices,
 )
-from animtool.ik.values import ArrayRows, Constant, KeyedValue
+from animtool.ik.values import ArrayRows, ConstantValue, KeyedValue
 from animtool.ik.write import targets_text
 from animtool.maths import so3
 from animtool.motion.motion import Channel
@@ -69,7 +69,7 @@ def test_frames_that_are_no_whole_ones_are_keyed(step: Fraction, count: int) -> 
     take = walk_of(legs(), count, step)
     tracks = match_take(take, take.rig.chains, OUT)
     kinds = {type(v) for goal in tracks.goals for v in goal.values.values() if v}
-    assert kinds == ({Constant} if count == 1 else {KeyedValue})
+    assert kinds == ({ConstantValue} if count == 1 else {KeyedValue})
     exact = sampled(take, tracks)
     world = take.world()
     for e, chain in enumerate(take.rig.chains):
@@ -109,7 +109,7 @@ def test_what_does_not_move_is_a_constant() -> None:
         motion=replace(held.motion, translations=_still(held.motion.translations)),
     )
     values = match_take(held, held.rig.chains, OUT).goals[1].values
-    assert {type(v) for v in values.values() if v} == {Constant}
+    assert {type(v) for v in values.values() if v} == {ConstantValue}
 
 
 def _still(channel: Channel) -> Channel:

@@ -201,7 +201,7 @@ def test_the_middle_of_a_long_limb_is_the_same_in_every_pose() -> None:
     rig = tentacle("pose")
     goal = Goal("b5", orientation=1.0, pole=1.0, root="b0")
     middles = {
-        int(build(rig, [goal], pose=q).chain.goals[0, 2])
+        int(build(rig, [goal], pose=q).chain.goal_nodes[0, 2])
         for q in random_pose(build(rig, [goal]), 3, frames=30)
     }
     assert middles == {3}

@@ -33,7 +33,7 @@ from animtool.ik import (
 )
 from animtool.ik import path as ik_path
 from animtool.ik.chain import apply_steps, joint_steps
-from animtool.ik.goals import KINDS
+from animtool.ik.goals import GOAL_KINDS
 from animtool.ik.path import build_frame_path, with_poses
 
 
@@ -189,9 +189,9 @@ def test_poses_that_miss_are_no_longer_reached() -> None:
     result, targets = followed(redundant(), 3)
     path = build_frame_path(result.problem, targets, None, IkOptions())
     poses = result.problem.chain.from_rig(result.coordinates)
-    misses = np.zeros((len(poses), 1, len(KINDS)))
+    misses = np.zeros((len(poses), 1, len(GOAL_KINDS)))
     assert with_poses(result, poses, misses, path).statuses == result.statuses
-    misses[1:] = np.arange(1.0, 1.0 + len(KINDS))
+    misses[1:] = np.arange(1.0, 1.0 + len(GOAL_KINDS))
     found = with_poses(result, poses, misses, path)
     assert found.statuses[0] is result.statuses[0] is IkStatus.CONVERGED
     assert set(found.statuses[1:]) == {IkStatus.NEAREST}

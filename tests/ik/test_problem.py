@@ -75,7 +75,7 @@ def test_the_length_is_the_longest_way_along_the_bones() -> None:
 def test_pins_that_turn_all_the_way_have_no_gap() -> None:
     joint = Joint("a", -1, JointType.PIN, limits=RangeLimit(-math.pi, math.pi))
     problem = build(Rig("wheel", (joint,)), [Goal("a", (1, 0, 0))])
-    assert np.isinf(problem.chain.numbers[0, 14:16]).all()
+    assert np.isinf(problem.chain.node_numbers[0, 14:16]).all()
     np.testing.assert_allclose(problem.chain.periods, [[-math.pi, math.pi]])
 
 

@@ -24,8 +24,8 @@ from support.suite import examples
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import OptionError
 from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
-from animtool.ik.goals import KINDS
-from animtool.ik.solving import COUNT_RANGES
+from animtool.ik.goals import GOAL_KINDS
+from animtool.ik.solving import OPTION_RANGES
 from animtool.maths import so3
 from animtool.rig.file import load_rig
 from animtool.rig.joints import local_from_coordinates
@@ -247,7 +247,7 @@ def test_what_a_frame_does_not_ask_for_is_as_if_the_goal_had_no_such_weight(
     problem = build(mixed_rig(), goals)
     start, wanted = random_pose(problem, seed), random_pose(problem, seed ^ 1)
     targets = reached_by(problem, wanted)
-    weights = np.ones((1, 2, len(KINDS)))
+    weights = np.ones((1, 2, len(GOAL_KINDS)))
     weights[0, 0, 1] = weights[0, 1, 2] = 0.0
     without = build(
         mixed_rig(),
@@ -268,7 +268,7 @@ def test_weights_of_a_frame_multiply_those_of_the_goal() -> None:
     targets = Targets([[[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]]])
     heavy = [replace(goals[0], position=0.3), replace(goals[1], position=1.0)]
     expected = solve(build(arm(1), heavy), [0.3], targets).coordinates
-    weights = np.array([[[0.3] * len(KINDS), [2.0] * len(KINDS)]])
+    weights = np.array([[[0.3] * len(GOAL_KINDS), [2.0] * len(GOAL_KINDS)]])
     got = solve(build(arm(1), goals), [0.3], replace(targets, weights=weights))
     np.testing.assert_allclose(got.coordinates, expected, atol=1e-9)
 
@@ -278,7 +278,7 @@ def test_a_frame_that_asks_for_nothing_stays_where_it_is() -> None:
     pose = random_pose(problem, 4)
     path = pose + np.linspace(0, 0.5, 9)[:, None]
     targets = reached_by(problem, path)
-    weights = np.ones((9, 1, len(KINDS)))
+    weights = np.ones((9, 1, len(GOAL_KINDS)))
     weights[3:6] = 0.0
     positions = np.array(targets.positions)
     positions[3:6] = np.nan
@@ -375,10 +375,10 @@ def test_options_are_checked_all_at_once() -> None:
     assert [fault.code for fault in caught.value.faults] == ["IK014"] * 3
 
 
-@pytest.mark.parametrize("name", list(COUNT_RANGES))
+@pytest.mark.parametrize("name", list(OPTION_RANGES))
 def test_counts_are_taken_as_far_as_there_is_room(name: str) -> None:
     problem, targets = build(arm(3), [Goal("b2")]), Targets([[[1.0, 0.0, 0.0]]])
-    low, most = COUNT_RANGES[name]
+    low, most = OPTION_RANGES[name]
     for value in (low, most):
         solve(problem, None, targets, replace(IkOptions(), **{name: value}))
     for value in (low - 1, most + 1, 1.5):

@@ -15,7 +15,7 @@ from support.targets import HEAD, legs, point_of, tracks_of, walk_of
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import Clock
-from animtool.ik.goals import KINDS, Goal, Targets
+from animtool.ik.goals import GOAL_KINDS, Goal, Targets
 from animtool.ik.on_take import solve_take
 from animtool.ik.result import IkStatus
 from animtool.ik.tracks import FreeEffector, swing_towards
@@ -26,7 +26,7 @@ from animtool.rig.kinematics import forward_kinematics
 from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.scene.solves.ik import rest_take
 
-POSITION, _, _, POLE, *_ = KINDS
+POSITION, _, _, POLE, *_ = GOAL_KINDS
 FIRST, LAST, EASE = 14, 26, 6
 VALUES = (
     "position: {keys: [{t: 1, v: [0.1, 0.3, 0]}, {t: 40, v: [0.5, 0.5, 0.3]}]}, "

@@ -12,7 +12,7 @@ from support.ik import limb, random_pose, reached_by
 from support.suite import examples
 
 from animtool.ik import Goal, IkMethod, IkOptions, IkStatus, Targets, build, solve
-from animtool.ik.goals import KINDS
+from animtool.ik.goals import GOAL_KINDS
 from animtool.ik.two_bone import incompatibility
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -96,7 +96,7 @@ def test_limbs_leave_out_what_a_frame_does_not_ask_for() -> None:
     start = random_pose(problem, 5, frames=4)
     targets = reached_by(problem, random_pose(problem, 6, frames=4))
     targets = replace(targets, poles=np.full((4, 1, 3), 0.7))
-    weights = np.ones((4, 1, len(KINDS)))
+    weights = np.ones((4, 1, len(GOAL_KINDS)))
     weights[1, 0, 3] = 0.0  # no pole
     weights[2, 0, 0] = 0.0  # the pole alone
     weights[3] = 0.0

@@ -13,7 +13,7 @@ from support.targets import HEAD, legs, tracks_of
 from animtool.clip.channels import ClipUnits
 from animtool.ik.file import load_targets
 from animtool.ik.tracks import TargetTracks
-from animtool.ik.values import ArrayRows, Constant, KeyedValue, Value
+from animtool.ik.values import ArrayRows, ConstantValue, KeyedValue, SampledValue
 from animtool.ik.write import TargetsText, targets_text
 from animtool.rig.skeleton import Rig
 
@@ -60,9 +60,11 @@ def read_back(folder: Path, made: TargetsText, rig: Rig) -> TargetTracks:
     return load_targets(path, rig)
 
 
-def check_same(a: Value | None, b: Value | None, tolerance: float) -> None:
+def check_same(
+    a: SampledValue | None, b: SampledValue | None, tolerance: float
+) -> None:
     match a, b:
-        case Constant(first), Constant(second):
+        case ConstantValue(first), ConstantValue(second):
             assert_allclose(first, second, atol=tolerance, rtol=0)
         case ArrayRows(values=first), ArrayRows(values=second):
             assert_allclose(first, second, atol=tolerance, rtol=0)

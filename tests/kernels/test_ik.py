@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool import _kernels
-from animtool.ik.goals import KINDS, PARTS, TARGET_COLUMNS, WEIGHT_COLUMNS
+from animtool.ik.goals import GOAL_KINDS, GOAL_PARTS, TARGET_COLUMNS, WEIGHT_COLUMNS
 
 HALF = np.sqrt(0.5)
 INF = np.inf
@@ -28,7 +28,18 @@ def chain(*offsets: float) -> dict[str, Any]:
 
 def goal(node: int, tip: float, **weights: float) -> dict[str, Any]:
     """Return one goal at a tip along x, aimed along x."""
-    numbers = [tip, 0, 0, 0, 0, 0, 1, 0, 0, *(weights.get(part, 0) for part in PARTS)]
+    numbers = [
+        tip,
+        0,
+        0,
+        0,
+        0,
+        0,
+        1,
+        0,
+        0,
+        *(weights.get(part, 0) for part in GOAL_PARTS),
+    ]
     return {
         "goals": np.array([[node, -1, -1, 0]]),
         "goal_numbers": np.array([numbers], float),
@@ -63,7 +74,7 @@ def test_kinds_of_goals_are_those_of_the_table() -> None:
             kind.is_length,
             kind.supports_ccd,
         )
-        for kind in KINDS
+        for kind in GOAL_KINDS
     ]
     assert list(_kernels.IK_GOAL_KINDS) == table
 
@@ -138,7 +149,7 @@ def test_a_target_out_of_reach_is_pointed_at_in_few_steps(
     at = (2 * np.cos(0.7), 2 * np.sin(0.7), 0.0)
     coordinates, misses, reports, _ = solved(arrays, target(at), method)
     assert_allclose(coordinates, [[0.7]], atol=1e-8)
-    assert_allclose(misses[0, 0], [1.5, *[0] * (len(PARTS) - 1)], atol=1e-12)
+    assert_allclose(misses[0, 0], [1.5, *[0] * (len(GOAL_PARTS) - 1)], atol=1e-12)
     assert reports[0, 0] != 0
     assert reports[0, 1] <= most
 

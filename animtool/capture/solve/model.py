@@ -10,7 +10,7 @@ from animtool.capture.templates.template import MarkerTemplate
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.ik.goals import KINDS, Goal, Targets
+from animtool.ik.goals import GOAL_KINDS, Goal, Targets
 from animtool.ik.problem import Problem, build
 from animtool.ik.sub_rig import with_ball_joints
 from animtool.maths import so3
@@ -49,7 +49,7 @@ class MarkerProblem:
         noise: Standard deviation of each marker at weight 1 ``(E,)`` [m].
         """
         is_visible = visibility_mask(positions)
-        weights = np.zeros((*is_visible.shape, len(KINDS)))
+        weights = np.zeros((*is_visible.shape, len(GOAL_KINDS)))
         weights[:, :, 0] = (
             is_visible * self.template.weights * self.problem.length / noise
         )

@@ -138,15 +138,15 @@ class TrackReduction:
         self.refit()
 
     def tighten_frames(
-        self, frames: ArrayLike, factor: ArrayLike, *, moves_keys: bool
+        self, frames: ArrayLike, new_tolerances: ArrayLike, *, moves_keys: bool
     ) -> None:
         """Reduce the tolerance around the given frames, and refit their segments.
 
-        ``frames`` ``(N,)`` [frame], ``factor`` ``(N,)``. If not ``moves_keys``, keys
-        are only added.
+        ``frames`` ``(N,)`` [frame], ``new_tolerances`` ``(N,)`` in the samples' unit.
+        If not ``moves_keys``, keys are only added.
         """
         frame_indices = np.asarray(frames)
-        fraction_limits = np.asarray(factor) / self.tolerance
+        fraction_limits = np.asarray(new_tolerances) / self.tolerance
         key_frames = self.keys.frames
         segment_indices = np.searchsorted(key_frames, frame_indices, side="right") - 1
         segment_indices = segment_indices.clip(0, max(0, len(key_frames) - 2))

@@ -90,7 +90,7 @@ def reduce_motion(
             take.
         tracks: Channels to key; None keys every joint that is not at rest, with its
             full transform.
-        start: Result for joints without a track; None uses the take's motion.
+        start: Motion of the joints without a track; None uses the take's motion.
 
     References:
         N. Frechette, Animation Compression Library, 2017: error on a shell around
@@ -127,7 +127,7 @@ def reduce_motion(
 
     errors = search_result.errors
     frame, joint = divmod(int(np.argmax(errors)), errors.shape[1])
-    keys = {
+    keys_by_channel = {
         (b.track.kind, b.track.index): b.keys for b in [*reductions, *weight_reductions]
     }
     return Reduction(
@@ -138,7 +138,9 @@ def reduce_motion(
                 if t.kind is ChannelKind.WEIGHT
                 else f"joint/{rig.joints[t.index].name}.{t.part}",
                 t.order,
-                keys[t.kind, t.index] if t.is_animated else fit_keys(t.samples, 1.0),
+                keys_by_channel[t.kind, t.index]
+                if t.is_animated
+                else fit_keys(t.samples, 1.0),
             )
             for t in joint_tracks + weight_tracks
         ),
@@ -179,7 +181,7 @@ class _WorldErrors:
         self.reduced_world: WorldTransforms | None = None
         self.points = attached_points(rig, SHELL_DISTANCE)
         self.point_distances = point_distances(self.points)
-        self.is_descendant = _descendants(rig)
+        self.is_descendant = _descendant_mask(rig)
         self.pose = self.pose.copy()
 
     def initial_tolerance(self, track: KeyTrack) -> float:
@@ -216,35 +218,39 @@ class _WorldErrors:
 
 
 def _search_tolerances(
-    world: _WorldErrors, reductions: list[TrackReduction]
+    world_errors: _WorldErrors, reductions: list[TrackReduction]
 ) -> _SearchResult:
     """Scale, then locally reduce channel tolerances until errors are within bounds."""
-    errors = world.measure_errors(reductions)
+    errors = world_errors.measure_errors(reductions)
     round_count = 1
     for _ in range(CALIBRATION_ROUNDS if reductions else 0):
-        error_ratios = subtree_maxima(world.rig.parents, errors / world.bounds)
+        error_ratios = subtree_maxima(
+            world_errors.rig.parents, errors / world_errors.bounds
+        )
         for reduction in reductions:
             joint_ratios = error_ratios[:, reduction.track.index]
             typical_ratio = float(np.quantile(joint_ratios, CALIBRATION_QUANTILE))
             factor = np.clip(0.9 / max(typical_ratio, 1e-9), 0.25, 4.0)
             reduction.scale_tolerance(float(factor))
-        errors = world.measure_errors(reductions)
+        errors = world_errors.measure_errors(reductions)
         round_count += 1
-    ratio = float((errors / world.bounds).max())
+    ratio = float((errors / world_errors.bounds).max())
     while round_count < MAX_ROUNDS:
-        changed_budgets = []
+        changed_reductions = []
         if ratio > 1:
             moves_keys = round_count < FIRST_SPLITTING_ROUND
-            changed_budgets = _tighten_causes(world, reductions, errors, moves_keys)
+            changed_reductions = _tighten_causes(
+                world_errors, reductions, errors, moves_keys
+            )
         for reduction in reductions:
             frames = _frames_beyond_limits(reduction)
             if len(frames):
                 reduction.straighten_segments(frames)
-                changed_budgets.append(reduction)
-        if not changed_budgets:
+                changed_reductions.append(reduction)
+        if not changed_reductions:
             break
-        errors = world.measure_errors(changed_budgets)
-        ratio = float((errors / world.bounds).max())
+        errors = world_errors.measure_errors(changed_reductions)
+        ratio = float((errors / world_errors.bounds).max())
         round_count += 1
     return _SearchResult(errors, ratio, round_count)
 
@@ -270,28 +276,28 @@ def _frames_beyond_limits(reduction: TrackReduction) -> IntArray:
 
 
 def _tighten_causes(
-    world: _WorldErrors,
+    world_errors: _WorldErrors,
     reductions: list[TrackReduction],
     errors: FloatArray,
     moves_keys: bool,
 ) -> list[TrackReduction]:
     """Reduce tolerances of channels that contribute most to errors above bounds."""
-    frames, joints_beyond = np.argwhere(errors > world.bounds).T.astype(np.int64)
-    excess = errors[frames, joints_beyond] / world.bounds[joints_beyond]
+    frames, joints_beyond = np.argwhere(errors > world_errors.bounds).T.astype(np.int64)
+    excess = errors[frames, joints_beyond] / world_errors.bounds[joints_beyond]
     contributions = np.zeros((len(reductions), len(frames)))
     for i, reduction in enumerate(reductions):
         joint = reduction.track.index
-        is_affected = world.is_descendant[joint, joints_beyond]
+        is_affected = world_errors.is_descendant[joint, joints_beyond]
         affected_frames, affected_joints = (
             frames[is_affected],
             joints_beyond[is_affected],
         )
-        lever_arms = world.lever_arms(joint, affected_frames, affected_joints)
+        lever_arms = world_errors.lever_arms(joint, affected_frames, affected_joints)
         displacements = reduction.displacement_per_unit(lever_arms)
         displacements = displacements * reduction.errors[affected_frames]
         contributions[i, is_affected] = displacements
     is_large = contributions >= 0.5 * contributions.max(axis=0, initial=0.0)
-    changed_budgets = []
+    changed_reductions = []
     for reduction, is_cause in zip(
         reductions, is_large & (contributions > 0), strict=True
     ):
@@ -299,13 +305,13 @@ def _tighten_causes(
             bad_frames, indices = np.unique(frames[is_cause], return_inverse=True)
             largest_excess = np.zeros(len(bad_frames))
             np.maximum.at(largest_excess, indices, excess[is_cause])
-            factors = reduction.errors[bad_frames] * 0.9 / largest_excess
-            reduction.tighten_frames(bad_frames, factors, moves_keys=moves_keys)
-            changed_budgets.append(reduction)
-    return changed_budgets
+            new_tolerances = reduction.errors[bad_frames] * 0.9 / largest_excess
+            reduction.tighten_frames(bad_frames, new_tolerances, moves_keys=moves_keys)
+            changed_reductions.append(reduction)
+    return changed_reductions
 
 
-def _descendants(rig: Rig) -> BoolArray:
+def _descendant_mask(rig: Rig) -> BoolArray:
     """Return a mask ``(J, J)``: at [j, k], whether k is j or a descendant of j."""
     is_descendant = np.eye(len(rig.joints), dtype=np.bool_)
     for joint, parent in enumerate(rig.parents):

@@ -41,7 +41,7 @@ class KeyTrack:
     # 3)`` [m]; None for the parent's space.
     reference: FloatArray | None = None
     # Rotation of the frame that relative translations are in.
-    rest: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
+    rest_rotation: tuple[float, ...] = (0.0, 0.0, 0.0, 1.0)
     # Axis of a pin's angle or a slide, in the joint's rest frame.
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
     # Limits of the joint, if the samples are its complete motion; None for no limits.
@@ -60,7 +60,7 @@ class KeyTrack:
         if self.reference is None:
             return values
         vectors = values * np.array(self.axis) if values.shape[1] == 1 else values
-        return np.asarray(self.reference + so3.rotate(self.rest, vectors))
+        return np.asarray(self.reference + so3.rotate(self.rest_rotation, vectors))
 
     @property
     def range(self) -> tuple[float, float] | None:
@@ -76,7 +76,7 @@ class KeyTrack:
         """Return the angle by which ball values ``(F, D)`` exceed the limits [rad]."""
         if not isinstance(self.limits, BallLimit) or self.order is None:
             return np.zeros(len(values))
-        inverse_rest = so3.conjugate(np.array(self.rest))
+        inverse_rest = so3.conjugate(np.array(self.rest_rotation))
         rotations = so3.multiply(inverse_rest, self.to_parent_space(values))
         return self.limits.excess(rotations)
 
@@ -101,9 +101,11 @@ def euler_order(joint: Joint, rotations: FloatArray) -> str:
     is_valid_order = bvh_order in euler.ORDERS
     if is_valid_order and _lock_cosine(rotations, bvh_order) >= MIN_LOCK_COSINE:
         return bvh_order
-    lock_cosines = {order: _lock_cosine(rotations, order) for order in euler.ORDERS}
+    lock_cosine_by_order = {
+        order: _lock_cosine(rotations, order) for order in euler.ORDERS
+    }
     # Rounded, so that ties do not depend on the last digit.
-    return max(euler.ORDERS, key=lambda order: round(lock_cosines[order], 6))
+    return max(euler.ORDERS, key=lambda order: round(lock_cosine_by_order[order], 6))
 
 
 def find_tracks(rig: Rig, motion: Motion, rest: Motion) -> list[KeyTrack]:

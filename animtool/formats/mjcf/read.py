@@ -21,7 +21,7 @@ from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 from animtool.rig.suspicions import (
     ANGLE_NAMES,
-    OTHER_ANGLE_UNITS,
+    OTHER_ANGLE_UNIT_AND_FACTOR,
     AngleLimit,
     limits_in_other_unit,
 )
@@ -108,7 +108,7 @@ def _warn_of_range_unit(
         ),
         None,
     )
-    likely_unit, ratio = OTHER_ANGLE_UNITS[angle_unit]
+    likely_unit, ratio = OTHER_ANGLE_UNIT_AND_FACTOR[angle_unit]
     lower, upper = widest_limit.values
     message = (
         f"the ranges of {counted(len(suspect_limits), 'joint')} look like "

@@ -107,14 +107,14 @@ class BoneRenderer:
             vertices[:, :3] = pose.positions[end_indices]
             vertices[:, 3:] = np.array(color_of_take(pose.index)) / 255
             vertex_blocks.append(vertices)
-        values = np.concatenate(vertex_blocks)
-        if self._line_buffer.write(values):
+        all_vertices = np.concatenate(vertex_blocks)
+        if self._line_buffer.write(all_vertices):
             buffer_layout = self._line_buffer.buffer, "3f 3f", "point", "color"
             self._line_array = self._device.gl.vertex_array(
                 self._line_program, [buffer_layout]
             )
         self._device.set_uniforms(self._line_program, eye)
-        self._line_array.render(self._device.moderngl.LINES, vertices=len(values))
+        self._line_array.render(self._device.moderngl.LINES, vertices=len(all_vertices))
 
     def _draw_axes(self, eye: EyeMatrices, poses: Sequence[PosedTake]) -> None:
         """Draw the x, y and z axes of each joint in red, green and blue."""

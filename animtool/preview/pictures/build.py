@@ -231,9 +231,9 @@ class PictureRenderer:
         self._device, self._page = device, page
         self._options, self._kind = options, kind
         self._progress = progress or (lambda _: None)
-        names = [camera["name"] for camera in page.manifest["cameras"]]
-        cameras = options.camera or ("home",)
-        self._cameras = [camera_choice(text, names) for text in cameras]
+        camera_names = [camera["name"] for camera in page.manifest["cameras"]]
+        camera_texts = options.camera or ("home",)
+        self._cameras = [camera_choice(text, camera_names) for text in camera_texts]
         self._frames = frames
         layers = drawn_layers(options)
         self._scene = SceneRenderer(device, page.manifest, page.blocks, layers)
@@ -276,10 +276,10 @@ class PictureRenderer:
             for frame in self._frames:
                 sample = int(np.argmin(np.abs(codes - frame)))
                 if abs(codes[sample] - frame) > MAX_FRAME_DISTANCE:
-                    ends = frame_label(codes[0]), frame_label(codes[-1])
+                    end_labels = frame_label(codes[0]), frame_label(codes[-1])
                     message = (
                         f"{argument('frame_range')}: frame {frame} is not in the "
-                        f"file, which has frames {ends[0]}-{ends[1]}"
+                        f"file, which has frames {end_labels[0]}-{end_labels[1]}"
                     )
                     raise OptionError(Fault("CLI005", message))
                 samples.append(sample)
@@ -399,20 +399,22 @@ class PictureRenderer:
                 render(k)
                 for k in sorted({*evenly_spaced(len(samples), PALETTE_FRAMES)})
             ]
-        with film_writer(output, self._kind, size, rate, palette_frames) as add:
+        with film_writer(output, self._kind, size, rate, palette_frames) as add_frame:
             for k in range(len(samples)):
-                add(render(k))
+                add_frame(render(k))
                 self._progress((k + 1) / len(samples))
         return self._report(output, (size[1], size[0]), samples, rate)
 
     def _film_samples(self) -> tuple[list[int], Fraction]:
         """Return the timeline samples of a film, and its frame rate [1/s]."""
-        time = self._page.manifest["time"]
-        rate = Fraction(*time["rate"]) / Fraction(time["step"])
-        if time["count"] == 1:
+        time_entry = self._page.manifest["time"]
+        rate = Fraction(*time_entry["rate"]) / Fraction(time_entry["step"])
+        if time_entry["count"] == 1:
             frame_count = (
                 TURNTABLE_SECONDS * TURNTABLE_RATE if self._options.turntable else 1
             )
             return [0] * frame_count, Fraction(TURNTABLE_RATE)
         sample_interval = max(1, math.ceil(rate / self._kind.max_rate))
-        return list(range(0, time["count"], sample_interval)), rate / sample_interval
+        return list(
+            range(0, time_entry["count"], sample_interval)
+        ), rate / sample_interval

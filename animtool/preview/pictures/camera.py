@@ -49,10 +49,10 @@ class Bounds:
             self.low = np.minimum(self.low, points.min(axis=0))
             self.high = np.maximum(self.high, points.max(axis=0))
 
-    def union_with(self, other: Bounds, shift: FloatArray | float = 0.0) -> None:
+    def union_with(self, other_bounds: Bounds, shift: FloatArray | float = 0.0) -> None:
         """Grow to contain other bounds, shifted by an offset [m]."""
-        if not other.is_empty:
-            self.add(np.stack([other.low, other.high]) + shift)
+        if not other_bounds.is_empty:
+            self.add(np.stack([other_bounds.low, other_bounds.high]) + shift)
 
     @property
     def is_empty(self) -> bool:
@@ -84,7 +84,7 @@ class EyeMatrices:
         view_projection: clip_from_world ``(4, 4)``.
         width: Width of the picture [px].
         height: Height of the picture [px].
-        per_metre: Pixels per metre at distance 1.
+        pixels_per_metre: Pixels per metre at distance 1.
         light: Direction to the key light, in view space.
         opacity: Opacity of overlays [1].
     """
@@ -93,7 +93,7 @@ class EyeMatrices:
     view_projection: FloatArray
     width: int
     height: int
-    per_metre: float
+    pixels_per_metre: float
     light: FloatArray
     opacity: float = 1.0
 
@@ -221,8 +221,8 @@ class CameraView:
         view = np.eye(4)
         view[:3, :3], view[:3, 3] = (rotation, -rotation @ world_from_camera[:3, 3])
         size = self.width, self.height
-        per_metre = self.height / (2 * half_height)
-        return EyeMatrices(view, projection @ view, *size, per_metre, self.light)
+        pixels_per_metre = self.height / (2 * half_height)
+        return EyeMatrices(view, projection @ view, *size, pixels_per_metre, self.light)
 
 
 def spherical_offset(yaw: float, pitch: float, distance: float = 1.0) -> FloatArray:

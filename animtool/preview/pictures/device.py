@@ -77,8 +77,8 @@ class Device:
         self.moderngl = import_package("moderngl")
         self.gl = _create_context(self.moderngl)
         self.gl.enable(self.moderngl.PROGRAM_POINT_SIZE)
-        self._programs: dict[tuple[str, ...], Any] = {}
-        self._empty_arrays: dict[Any, Any] = {}
+        self._program_by_key: dict[tuple[str, ...], Any] = {}
+        self._empty_array_by_program: dict[Any, Any] = {}
 
     def program(
         self,
@@ -89,15 +89,15 @@ class Device:
     ) -> Any:
         """Return a program of the viewer; ``defines`` are vertex shader defines."""
         program_key = module, vertex, fragment, *defines
-        if program_key not in self._programs:
+        if program_key not in self._program_by_key:
             define_lines = "".join(f"#define {name}\n" for name in defines)
-            self._programs[program_key] = self.gl.program(
+            self._program_by_key[program_key] = self.gl.program(
                 vertex_shader=SHADER_HEADER
                 + define_lines
                 + shader_source(module, vertex),
                 fragment_shader=SHADER_HEADER + shader_source(module, fragment),
             )
-        return self._programs[program_key]
+        return self._program_by_key[program_key]
 
     def set_uniforms(self, program: Any, eye: EyeMatrices, **uniforms: Any) -> None:
         """Set the uniforms of a program, including the camera's."""
@@ -126,10 +126,10 @@ class Device:
         self, program: Any, vertex_count: int, mode: int | None = None
     ) -> None:
         """Draw triangles whose corners the vertex shader generates."""
-        if program not in self._empty_arrays:
-            self._empty_arrays[program] = self.gl.vertex_array(program, [])
+        if program not in self._empty_array_by_program:
+            self._empty_array_by_program[program] = self.gl.vertex_array(program, [])
         mode = self.moderngl.TRIANGLES if mode is None else mode
-        self._empty_arrays[program].render(mode, vertices=vertex_count)
+        self._empty_array_by_program[program].render(mode, vertices=vertex_count)
 
     @contextmanager
     def blending(self) -> Iterator[None]:
@@ -171,8 +171,8 @@ class Framebuffer:
         draw(self._samples_buffer)
         gl.copy_framebuffer(self._pixel_buffer, self._samples_buffer)
         width, height = self.size
-        raw = self._pixel_buffer.read(components=3, alignment=1)
-        return np.frombuffer(raw, np.uint8).reshape(height, width, 3)[::-1]
+        pixel_bytes = self._pixel_buffer.read(components=3, alignment=1)
+        return np.frombuffer(pixel_bytes, np.uint8).reshape(height, width, 3)[::-1]
 
 
 def _create_context(graphics_module: ModuleType) -> Any:

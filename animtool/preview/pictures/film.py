@@ -25,13 +25,13 @@ PALETTE_SIZE = 256
 def write_picture(path: Path, pixels: Array) -> None:
     """Write a picture atomically; raise OUT002 if that fails."""
     image_module = import_package("PIL.Image")
-    settings: dict[str, Any] = {"format": "PNG", "optimize": True}
+    save_options: dict[str, Any] = {"format": "PNG", "optimize": True}
     if path.suffix.lower() == ".webp":
-        settings = {"format": "WEBP", "quality": 90, "method": 6}
+        save_options = {"format": "WEBP", "quality": 90, "method": 6}
     image = image_module.fromarray(np.ascontiguousarray(pixels))
     with replacement_path(path) as temporary_path:
         try:
-            image.save(temporary_path, **settings)
+            image.save(temporary_path, **save_options)
         except OSError as error:
             raise output_error(path, error) from error
 

@@ -46,37 +46,46 @@ class GroundRenderer:
         """Draw the grid around a point, fading with distance."""
         cell_size = self._cell_size
         # Rounds half up, like JavaScript.
-        cx, cz = (math.floor(center[k] / cell_size + 0.5) for k in (0, 2))
-        if (cx, cz) != self._center_cell:
-            self._center_cell = cx, cz
-            self._set_lines(cx, cz, line_color, axis_color)
+        cell_x, cell_z = (math.floor(center[k] / cell_size + 0.5) for k in (0, 2))
+        if (cell_x, cell_z) != self._center_cell:
+            self._center_cell = cell_x, cell_z
+            self._set_lines(cell_x, cell_z, line_color, axis_color)
         fade = (center[0], 0.0, center[2], cell_size * GRID_CELLS / 2)
         self._lines.draw(eye, width=1, fade=fade)
 
     def _set_lines(
-        self, cx: int, cz: int, line_color: Color, axis_color: Color
+        self, cell_x: int, cell_z: int, line_color: Color, axis_color: Color
     ) -> None:
-        """Set the segments of the grid lines around the cell ``cx``, ``cz``."""
-        half, cell_size = GRID_CELLS // 2, self._cell_size
+        """Set the segments of the grid lines around the cell ``cell_x``, ``cell_z``."""
+        half_cells, cell_size = GRID_CELLS // 2, self._cell_size
         segments = []
-        for i in range(-half, half + 1):
-            x, z = (cx + i) * cell_size, (cz + i) * cell_size
+        for i in range(-half_cells, half_cells + 1):
+            x, z = (cell_x + i) * cell_size, (cell_z + i) * cell_size
             # Lines are split into segments: those that pass the camera are less exact.
-            for k in range(-half, half, SEGMENT_CELLS):
+            for k in range(-half_cells, half_cells, SEGMENT_CELLS):
                 # Segments further out have faded to nothing.
-                if math.hypot(i, min(abs(k), abs(k + SEGMENT_CELLS))) > half:
+                if math.hypot(i, min(abs(k), abs(k + SEGMENT_CELLS))) > half_cells:
                     continue
-                left, right = (cx + k) * cell_size, (cx + k + SEGMENT_CELLS) * cell_size
-                back, front = (cz + k) * cell_size, (cz + k + SEGMENT_CELLS) * cell_size
-                x_color = line_color if cx + i else axis_color
-                z_color = line_color if cz + i else axis_color
+                left, right = (
+                    (cell_x + k) * cell_size,
+                    (cell_x + k + SEGMENT_CELLS) * cell_size,
+                )
+                back, front = (
+                    (cell_z + k) * cell_size,
+                    (cell_z + k + SEGMENT_CELLS) * cell_size,
+                )
+                x_color = line_color if cell_x + i else axis_color
+                z_color = line_color if cell_z + i else axis_color
                 segments.append((x, back, x, front, *x_color))
                 segments.append((left, z, right, z, *z_color))
-        table = np.array(segments, np.float64)
-        ends = np.zeros((2, len(table), 3))
-        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = (table[:, :2], table[:, 2:4])
-        alpha = np.full((len(table), 1), 255.0)
-        colors = np.concatenate([table[:, 4:], alpha], axis=1)
+        segment_table = np.array(segments, np.float64)
+        ends = np.zeros((2, len(segment_table), 3))
+        ends[0][:, [0, 2]], ends[1][:, [0, 2]] = (
+            segment_table[:, :2],
+            segment_table[:, 2:4],
+        )
+        alpha = np.full((len(segment_table), 1), 255.0)
+        colors = np.concatenate([segment_table[:, 4:], alpha], axis=1)
         self._lines.set_segments(ends[0], ends[1], colors)
 
 
@@ -96,11 +105,11 @@ class TrailRenderer:
         shown_layers: frozenset[str],
     ) -> None:
         """Set the trails and contact rings of posed takes at a sample."""
-        trails = [np.zeros((0, 10))]
-        rings = [np.zeros((0, 10))]
+        trail_segments = [np.zeros((0, 10))]
+        ring_segments = [np.zeros((0, 10))]
         for pose in poses:
             if "trails" in shown_layers and pose.trail_joints:
-                trails.append(
+                trail_segments.append(
                     self._trail_segments(
                         pose, sample, color_of_take(pose.index), contact_color
                     )
@@ -112,14 +121,19 @@ class TrailRenderer:
                     and is_in_spans(code, contact_entry["spans"])[0]
                 ):
                     contact_position = pose.positions[contact_entry["joint"]]
-                    rings.append(
-                        _ring_lines(
+                    ring_segments.append(
+                        _ring_segments(
                             contact_position, pose.bounds_radius * 0.045, contact_color
                         )
                     )
-        for lines, segments in ((self._trails, trails), (self._rings, rings)):
-            table = np.concatenate(segments)
-            lines.set_segments(table[:, :3], table[:, 3:6], table[:, 6:])
+        for lines, segments in (
+            (self._trails, trail_segments),
+            (self._rings, ring_segments),
+        ):
+            segment_table = np.concatenate(segments)
+            lines.set_segments(
+                segment_table[:, :3], segment_table[:, 3:6], segment_table[:, 6:]
+            )
 
     def _trail_segments(
         self, pose: PosedTake, sample: int, trail_color: Color, contact_color: Color
@@ -158,7 +172,7 @@ class TrailRenderer:
         self._rings.draw(eye, width=3)
 
 
-def _ring_lines(center: FloatArray, radius: float, color: Color) -> FloatArray:
+def _ring_segments(center: FloatArray, radius: float, color: Color) -> FloatArray:
     """Return the segments of a ring around a contact."""
     angles = np.arange(25) * np.pi / 12
     circle = np.stack([np.cos(angles), np.zeros(25), np.sin(angles)], axis=1)
@@ -196,8 +210,10 @@ class ContactShadow:
         half_width = view.radius * SHADOW_WIDTH
         if view.floor < -SHADOW_OFFSET * view.radius:
             return False
-        texel = 2 * half_width / SHADOW_PIXELS
-        x, z = (math.floor(view.target[k] / texel + 0.5) * texel for k in (0, 2))
+        texel_size = 2 * half_width / SHADOW_PIXELS
+        x, z = (
+            math.floor(view.target[k] / texel_size + 0.5) * texel_size for k in (0, 2)
+        )
         self._shadow_area = x, z, half_width
         gl, moderngl = self._device.gl, self._device.moderngl
         self._height_buffer.use()
@@ -207,11 +223,11 @@ class ContactShadow:
         draw(eye)
         gl.disable(moderngl.DEPTH_TEST)
         blur_radius = 1.5 / SHADOW_PIXELS
-        passes = (
+        blur_passes = (
             (self._blur_buffers[0], self._height_map, (blur_radius, 0.0), 1.0),
             (self._blur_buffers[1], self._blurred_maps[0], (0.0, blur_radius), 0.0),
         )
-        for framebuffer, source, blur_step, heights in passes:
+        for framebuffer, source, blur_step, heights in blur_passes:
             framebuffer.use()
             source.use(0)
             self._device.set_uniforms(
@@ -236,7 +252,7 @@ def _upward_view(
     """Return the matrices of an orthographic camera that looks up from below ground."""
     height = SHADOW_HEIGHT * view.radius
     depth = -SHADOW_DEPTH * height
-    k = 2 / (height - depth)
+    depth_scale = 2 / (height - depth)
     from_world = np.array(
         [[1, 0, 0, -x], [0, 0, 1, -z], [0, -1, 0, 0], [0, 0, 0, 1]], np.float64
     )
@@ -244,7 +260,7 @@ def _upward_view(
         [
             [1 / half_width, 0, 0, -x / half_width],
             [0, 0, 1 / half_width, -z / half_width],
-            [0, k, 0, -1 - depth * k],
+            [0, depth_scale, 0, -1 - depth * depth_scale],
             [0, 0, 0, 1],
         ]
     )

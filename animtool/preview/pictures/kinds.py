@@ -41,7 +41,7 @@ class PictureKind:
     file_settings: tuple[tuple[str, str], ...] = ()
 
 
-_SMALL_SIZE = (640, 360)
+_SMALL_FILM_SIZE = (640, 360)
 _MP4 = PictureKind(
     "VP9 by libvpx (BSD) in MP4",
     codec="libvpx-vp9",
@@ -60,7 +60,7 @@ PICTURE_KINDS: dict[str, PictureKind] = {
         container="gif",
         pixels="pal8",
         max_rate=33,
-        size=_SMALL_SIZE,
+        size=_SMALL_FILM_SIZE,
         file_settings=(("loop", "0"),),
     ),
     ".webp": PictureKind(
@@ -68,7 +68,7 @@ PICTURE_KINDS: dict[str, PictureKind] = {
         is_image=True,
         codec="libwebp_anim",
         container="webp",
-        size=_SMALL_SIZE,
+        size=_SMALL_FILM_SIZE,
         settings=(("quality", "80"),),
         file_settings=(("loop", "0"),),
     ),

@@ -12,22 +12,22 @@ from animtool.preview.pictures.camera import EyeMatrices
 from animtool.preview.pictures.device import Array, Device, TextureTable
 from animtool.preview.streams import Array as Values
 
-Bytes = npt.NDArray[np.uint8]
+ByteArray = npt.NDArray[np.uint8]
 # Coordinate of points without a position: outside of every view.
 OFFSCREEN_COORDINATE = 1e30
 
 
-def srgb_bytes(color: npt.ArrayLike) -> FloatArray:
+def srgb_colors(color: npt.ArrayLike) -> FloatArray:
     """Return linear colors from 0 to 1 as sRGB, 0 to 255.
 
-    >>> srgb_bytes([0.0, 1.0]).tolist()
+    >>> srgb_colors([0.0, 1.0]).tolist()
     [0.0, 255.0]
     """
-    linear: FloatArray = np.maximum(np.asarray(color, np.float64), 0) ** (1 / 2.2) * 255
-    return linear
+    srgb: FloatArray = np.maximum(np.asarray(color, np.float64), 0) ** (1 / 2.2) * 255
+    return srgb
 
 
-def repeat_color(count: int, color: FloatArray) -> Bytes:
+def repeat_color(count: int, color: FloatArray) -> ByteArray:
     """Return one color repeated for each of N points ``(N, 3)``."""
     return np.repeat(np.clip(color, 0, 255).astype(np.uint8)[None], count, axis=0)
 
@@ -73,7 +73,7 @@ class LineRenderer:
             size=(eye.width, eye.height),
             width=width,
             world=world_width,
-            perMetre=eye.per_metre,
+            perMetre=eye.pixels_per_metre,
             fade=fade,
             segments=self._table,
         )
@@ -89,13 +89,13 @@ class VertexBuffer:
 
     def write(self, values: Array) -> bool:
         """Replace the buffer's contents; return whether it was reallocated."""
-        raw = np.ascontiguousarray(values).tobytes()
-        if self.buffer is not None and self.buffer.size >= len(raw):
-            self.buffer.write(raw)
+        value_bytes = np.ascontiguousarray(values).tobytes()
+        if self.buffer is not None and self.buffer.size >= len(value_bytes):
+            self.buffer.write(value_bytes)
             return False
         if self.buffer is not None:
             self.buffer.release()
-        self.buffer = self._device.gl.buffer(raw or b"\0" * 4, dynamic=True)
+        self.buffer = self._device.gl.buffer(value_bytes or b"\0" * 4, dynamic=True)
         return True
 
 
@@ -110,7 +110,7 @@ class SpriteRenderer:
         self._point_count = 0
 
     def set_points(
-        self, positions: Array, colors: Bytes, radii: Array | None = None
+        self, positions: Array, colors: ByteArray, radii: Array | None = None
     ) -> None:
         """Replace the points to draw ``(N, 3)``, with colors and radii."""
         self._point_count = len(positions)
@@ -140,7 +140,7 @@ class SpriteRenderer:
             eye,
             radius=radius,
             least=min_radius * 2,
-            perMetre=eye.per_metre,
+            perMetre=eye.pixels_per_metre,
         )
         self._array.render(self._device.moderngl.POINTS, vertices=self._point_count)
 

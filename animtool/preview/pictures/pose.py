@@ -13,10 +13,12 @@ from animtool.preview.pictures.data import StreamReader
 _FOOT_NAME_PATTERN = re.compile("foot|toe|ankle|paw|hoof|ball", re.I)
 
 
-def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> FloatArray:
-    """Return T·R·S ``(..., 4, 4)``; rotations need not be normalized."""
-    norm = np.linalg.norm(r, axis=-1, keepdims=True)
-    x, y, z, w = np.moveaxis(r / np.where(norm > 0, norm, 1.0), -1, 0)
+def compose_matrices(
+    translations: FloatArray, rotations: FloatArray, scales: FloatArray | None
+) -> FloatArray:
+    """Return matrices T·R·S ``(..., 4, 4)``; rotations need not be normalized."""
+    norm = np.linalg.norm(rotations, axis=-1, keepdims=True)
+    x, y, z, w = np.moveaxis(rotations / np.where(norm > 0, norm, 1.0), -1, 0)
     matrices = np.zeros((*x.shape, 4, 4))
     matrices[..., 0, 0] = 1 - 2 * (y * y + z * z)
     matrices[..., 1, 0], matrices[..., 2, 0] = 2 * (x * y + z * w), 2 * (x * z - y * w)
@@ -24,9 +26,9 @@ def compose_matrices(t: FloatArray, r: FloatArray, s: FloatArray | None) -> Floa
     matrices[..., 1, 1] = 1 - 2 * (x * x + z * z)
     matrices[..., 0, 2], matrices[..., 1, 2] = 2 * (x * z + y * w), 2 * (y * z - x * w)
     matrices[..., 2, 2] = 1 - 2 * (x * x + y * y)
-    if s is not None:
-        matrices[..., :3, :3] *= s[..., None, :]
-    matrices[..., :3, 3] = t
+    if scales is not None:
+        matrices[..., :3, :3] *= scales[..., None, :]
+    matrices[..., :3, 3] = translations
     matrices[..., 3, 3] = 1
     return matrices
 
@@ -50,15 +52,17 @@ class PosedTake:
         self.joint_names: list[str] = skeleton["names"]
         self.parents = np.array(skeleton["parents"], np.int64)
         self.joint_count = len(self.joint_names)
-        self.levels = _joints_by_depth(self.parents)
-        static_values = manifest_entry.get("still") or skeleton["rest"]
-        self._values = {
-            "t": np.reshape(static_values["t"], (-1, 3)).astype(np.float64),
-            "r": np.reshape(static_values["r"], (-1, 4)).astype(np.float64),
+        self.joints_by_depth = _joints_by_depth(self.parents)
+        static_by_component = manifest_entry.get("still") or skeleton["rest"]
+        self._values_by_component = {
+            "t": np.reshape(static_by_component["t"], (-1, 3)).astype(np.float64),
+            "r": np.reshape(static_by_component["r"], (-1, 4)).astype(np.float64),
             "s": np.ones((self.joint_count, 3)),
         }
-        if static_values.get("s") is not None:
-            self._values["s"] = np.array(static_values["s"], np.float64)
+        if static_by_component.get("s") is not None:
+            self._values_by_component["s"] = np.array(
+                static_by_component["s"], np.float64
+            )
         self._animated_components = [
             (
                 component,
@@ -78,7 +82,7 @@ class PosedTake:
         self.is_visible, self.bounds_radius = True, 1.0
         self.root = self._find_root()
         self.trail_joints = self._trail_joints()
-        self._paths: dict[int, FloatArray] = {}
+        self._positions_by_sample: dict[int, FloatArray] = {}
 
     def _find_root(self) -> int:
         """Return the first joint with animated translation, else the first joint."""
@@ -88,7 +92,7 @@ class PosedTake:
             if component == "t"
             for j in joints
         }
-        joint_order = [int(j) for level in self.levels for j in level]
+        joint_order = [int(j) for level in self.joints_by_depth for j in level]
         return next(
             (j for j in joint_order if j in translated_joints),
             joint_order[0] if joint_order else 0,
@@ -105,7 +109,7 @@ class PosedTake:
             parent_names = [self.joint_names[p] if p >= 0 else "" for p in self.parents]
             feet = [
                 int(j)
-                for level in self.levels
+                for level in self.joints_by_depth
                 for j in level
                 if _FOOT_NAME_PATTERN.search(self.joint_names[j])
                 and not _FOOT_NAME_PATTERN.search(parent_names[j])
@@ -126,14 +130,18 @@ class PosedTake:
 
     def _posed_matrices(self, sample: int) -> FloatArray:
         """Return the world matrices of the joints at a sample ``(J, 4, 4)``."""
-        values = self._values
+        values_by_component = self._values_by_component
         for component, stream, joints in self._animated_components:
             stored_values = self._streams.sample_values(
                 stream, sample - self.first_sample
             )
-            values[component][joints] = stored_values.reshape(len(joints), -1)
-        world = compose_matrices(values["t"], values["r"], values["s"])
-        for level in self.levels[1:]:
+            values_by_component[component][joints] = stored_values.reshape(
+                len(joints), -1
+            )
+        world = compose_matrices(
+            values_by_component["t"], values_by_component["r"], values_by_component["s"]
+        )
+        for level in self.joints_by_depth[1:]:
             world[level] = world[self.parents[level]] @ world[level]
         world[:, :3, 3] += self.shift
         return world
@@ -159,18 +167,22 @@ class PosedTake:
         ]
         return joints, np.reshape(ends, (-1, 3))
 
-    def trail_positions(self, first: int, last: int) -> FloatArray:
+    def trail_positions(self, first_sample: int, last_sample: int) -> FloatArray:
         """Return positions of the trail joints in a range of samples ``(F, T, 3)``."""
-        previous_paths = self._paths
+        previous_positions = self._positions_by_sample
         # Positions that the next picture of a film needs are kept.
-        self._paths = {
-            i: previous_paths[i] for i in range(first, last + 1) if i in previous_paths
+        self._positions_by_sample = {
+            i: previous_positions[i]
+            for i in range(first_sample, last_sample + 1)
+            if i in previous_positions
         }
-        for sample in range(first, last + 1):
-            if sample not in self._paths:
+        for sample in range(first_sample, last_sample + 1):
+            if sample not in self._positions_by_sample:
                 world = self._posed_matrices(sample)
-                self._paths[sample] = world[self.trail_joints, :3, 3]
-        return np.stack([self._paths[i] for i in range(first, last + 1)])
+                self._positions_by_sample[sample] = world[self.trail_joints, :3, 3]
+        return np.stack(
+            [self._positions_by_sample[i] for i in range(first_sample, last_sample + 1)]
+        )
 
     def contacts_at(self, codes: FloatArray) -> BoolArray:
         """Return whether trail joints touch the ground at time codes ``(F, T)``."""
@@ -192,11 +204,11 @@ def is_in_spans(codes: FloatArray, spans: list[list[float]]) -> BoolArray:
 
 def _joints_by_depth(parents: IntArray) -> list[IntArray]:
     """Return joints grouped by depth, parents first."""
-    depth = np.full(len(parents), -1)
+    depths = np.full(len(parents), -1)
     joints = np.flatnonzero(parents < 0)
-    levels: list[IntArray] = []
+    joints_by_depth: list[IntArray] = []
     while len(joints):
-        depth[joints] = len(levels)
-        levels.append(joints.astype(np.int64))
-        joints = np.flatnonzero((depth < 0) & np.isin(parents, joints))
-    return levels
+        depths[joints] = len(joints_by_depth)
+        joints_by_depth.append(joints.astype(np.int64))
+        joints = np.flatnonzero((depths < 0) & np.isin(parents, joints))
+    return joints_by_depth

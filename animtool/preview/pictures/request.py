@@ -123,15 +123,15 @@ def light_direction(options: PictureOptions) -> FloatArray:
     return spherical_offset(*map(math.radians, numbers))
 
 
-def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:
-    """Return a camera choice; ``names`` are the page's shot cameras."""
+def camera_choice(text: str, camera_names: Sequence[str]) -> CameraChoice:
+    """Return a camera choice; ``camera_names`` are the page's shot cameras."""
     text = text.strip()
     if text in VIEW_ANGLES:
         return CameraChoice(*VIEW_ANGLES[text])
-    if text in names:
-        return CameraChoice(shot=names.index(text))
+    if text in camera_names:
+        return CameraChoice(shot=camera_names.index(text))
     if match := _SHOT_CAMERA_PATTERN.fullmatch(text):
-        if int(match[1]) < len(names):
+        if int(match[1]) < len(camera_names):
             return CameraChoice(shot=int(match[1]))
     else:
         numbers = _parse_numbers(text)
@@ -141,7 +141,7 @@ def camera_choice(text: str, names: Sequence[str]) -> CameraChoice:
         if len(numbers) == 6 and numbers[2] > 0:
             yaw, pitch, distance, *target = numbers
             return CameraChoice(yaw, pitch, distance, tuple(target))
-    all_names = [*VIEW_ANGLES, *names]
+    all_names = [*VIEW_ANGLES, *camera_names]
     similar_name = most_similar(text, all_names)
     hint = (
         f"did you mean {similar_name!r}?"

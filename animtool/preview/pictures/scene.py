@@ -67,17 +67,21 @@ class SceneRenderer:
     ) -> None:
         self._device, self._shown_layers = device, shown_layers
         self._streams = streams = StreamReader(manifest["streams"], blocks)
-        time = manifest["time"]
-        self.codes = time["first"] + np.arange(time["count"]) * time["step"]
+        time_entry = manifest["time"]
+        self.codes = (
+            time_entry["first"] + np.arange(time_entry["count"]) * time_entry["step"]
+        )
         self._poses = [
             PosedTake(streams, take, i) for i, take in enumerate(manifest["takes"])
         ]
         # The take that the camera follows; None if none has joints.
         has_joints = bool(self._poses) and self._poses[0].joint_count > 0
         self._main_pose = self._poses[0] if has_joints else None
-        geometries: dict[tuple[Any, ...], Any] = {}
+        geometry_by_streams: dict[tuple[Any, ...], Any] = {}
         self._meshes = [
-            MeshRenderer(device, streams, mesh, self._pose_of_entry(mesh), geometries)
+            MeshRenderer(
+                device, streams, mesh, self._pose_of_entry(mesh), geometry_by_streams
+            )
             for mesh in manifest["meshes"]
         ]
         self._instances = [
@@ -114,14 +118,14 @@ class SceneRenderer:
             pose_bounds.add(pose.positions)
             radius = pose_bounds.radius
             pose.bounds_radius = radius if radius > 1e-3 else 1.0
-        count = len(self.codes)
+        sample_count = len(self.codes)
         spread_samples = [
-            int(i / FRAMING_INTERVALS * (count - 1) + 0.5)
+            int(i / FRAMING_INTERVALS * (sample_count - 1) + 0.5)
             for i in range(FRAMING_INTERVALS + 1)
         ]
         samples = [*dict.fromkeys(spread_samples), sample]
-        roots = [self._root_position(i) for i in samples]
-        offsets = np.array(roots) - roots[-1]
+        root_positions = [self._root_position(i) for i in samples]
+        offsets = np.array(root_positions) - root_positions[-1]
         travel = float(np.linalg.norm(offsets[:, [0, 2]], axis=1).max())
         min_travel = MIN_PATH_RATIO * float(np.ptp(offsets[:, 1]))
         is_following = (
@@ -130,9 +134,13 @@ class SceneRenderer:
             and travel > max(self._main_pose.bounds_radius, min_travel)
         )
         framed_bounds, all_bounds, character_bounds = Bounds(), Bounds(), Bounds()
-        for i, root in zip(samples, roots, strict=True):
+        for i, root_position in zip(samples, root_positions, strict=True):
             self._update(i)
-            shift = (roots[-1] - root) * [1.0, 0.0, 1.0] if is_following else 0.0
+            shift = (
+                (root_positions[-1] - root_position) * [1.0, 0.0, 1.0]
+                if is_following
+                else 0.0
+            )
             framed_bounds = self._grow_bounds(all_bounds, character_bounds, shift)
         view.frame_bounds(framed_bounds)
         view.is_following, view.followed_position = is_following, None
@@ -150,19 +158,21 @@ class SceneRenderer:
         self, framed_bounds: Bounds, character_bounds: Bounds, shift: FloatArray | float
     ) -> Bounds:
         """Grow the bounds of everything and of characters; return those to frame."""
-        bounds, characters = Bounds(), Bounds()
+        sample_bounds, sample_character_bounds = Bounds(), Bounds()
         for pose in self._poses:
             if pose.is_visible:
-                characters.add(pose.positions)
+                sample_character_bounds.add(pose.positions)
         for mesh in self._meshes:
-            mesh.grow_bounds(characters if mesh.is_skinned else bounds)
-        bounds.union_with(characters)
+            mesh.grow_bounds(
+                sample_character_bounds if mesh.is_skinned else sample_bounds
+            )
+        sample_bounds.union_with(sample_character_bounds)
         drawn_objects: list[InstanceRenderer | PointRenderer | StrandRenderer]
         drawn_objects = [*self._instances, *self._points, *self._strands]
         for drawable in drawn_objects:
-            drawable.grow_bounds(bounds)
-        character_bounds.union_with(characters, shift)
-        framed_bounds.union_with(bounds, shift)
+            drawable.grow_bounds(sample_bounds)
+        character_bounds.union_with(sample_character_bounds, shift)
+        framed_bounds.union_with(sample_bounds, shift)
         if (
             not character_bounds.is_empty
             and framed_bounds.radius > MAX_STAGE_RATIO * character_bounds.radius
@@ -318,19 +328,28 @@ class SceneRenderer:
         for i, camera in enumerate(self.cameras):
             if i == shot:
                 continue
-            world = shot_camera_matrix(camera, self._streams, self._sample)
-            if world is None:
+            world_from_camera = shot_camera_matrix(camera, self._streams, self._sample)
+            if world_from_camera is None:
                 continue
             aperture_width, aperture_height = camera["aperture_mm"]
-            size = view.radius * 0.16
+            frustum_size = view.radius * 0.16
             film_gate = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1], [0, 1.5]])
-            film_gate = film_gate * size * 0.5 * [1, aperture_height / aperture_width]
-            corners = np.concatenate([film_gate, np.full((5, 1), -size)], axis=1)
-            points = np.vstack([corners @ world[:3, :3].T + world[:3, 3], world[:3, 3]])
+            film_gate = (
+                film_gate * frustum_size * 0.5 * [1, aperture_height / aperture_width]
+            )
+            corners = np.concatenate(
+                [film_gate, np.full((5, 1), -frustum_size)], axis=1
+            )
+            points = np.vstack(
+                [
+                    corners @ world_from_camera[:3, :3].T + world_from_camera[:3, 3],
+                    world_from_camera[:3, 3],
+                ]
+            )
             edges = [(5, k) for k in range(4)] + [(k, (k + 1) % 4) for k in range(4)]
             segments.append(points[np.array([*edges, (3, 4), (2, 4)])])
         if segments:
-            lines = np.concatenate(segments)
+            edge_ends = np.concatenate(segments)
             color = np.array([*self._colors["soft"], 255.0])
-            self._frusta.set_segments(lines[:, 0], lines[:, 1], color)
+            self._frusta.set_segments(edge_ends[:, 0], edge_ends[:, 1], color)
             self._frusta.draw(eye, width=1.5)

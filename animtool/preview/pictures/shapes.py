@@ -17,7 +17,7 @@ from animtool.preview.pictures.lines import (
     VertexBuffer,
     move_missing_offscreen,
     repeat_color,
-    srgb_bytes,
+    srgb_colors,
 )
 from animtool.preview.pictures.pose import PosedTake, compose_matrices
 
@@ -37,9 +37,9 @@ def vertex_normals(points: Array, faces: Array) -> FloatArray:
     """Return area-weighted vertex normals ``(V, 3)``."""
     a, b, c = (points[faces[:, k]].astype(np.float64) for k in range(3))
     face_normals = np.cross(b - a, c - a)
-    corners, count = faces.ravel(), len(points)
+    corner_indices, count = faces.ravel(), len(points)
     corner_normals = [
-        np.bincount(corners, np.repeat(face_normals[:, k], 3), minlength=count)
+        np.bincount(corner_indices, np.repeat(face_normals[:, k], 3), minlength=count)
         for k in range(3)
     ]
     return np.stack(corner_normals, axis=1)
@@ -105,12 +105,12 @@ class MeshRenderer:
         streams: StreamReader,
         manifest_entry: dict[str, Any],
         pose: PosedTake | None,
-        geometries: dict[tuple[Any, ...], GeometryBuffers],
+        geometry_by_streams: dict[tuple[Any, ...], GeometryBuffers],
     ) -> None:
         self._device, self._streams = device, streams
         self.manifest_entry, self.pose = manifest_entry, pose
         self.is_prototype = bool(manifest_entry.get("prototype"))
-        self.geometry = self._shared_geometry(geometries)
+        self.geometry = self._shared_geometry(geometry_by_streams)
         self._drawn_points = self.geometry.rest_points
         self._shapes = [
             (
@@ -128,17 +128,17 @@ class MeshRenderer:
         self._palette = TextureTable(device)
         self.is_hidden = False
         has_colors = self.geometry.has_colors
-        defines = {"SKIN": skin, "PAINT": has_colors, "INSTANCES": self.is_prototype}
-        names = tuple(name for name, is_on in defines.items() if is_on)
-        self.program = device.program("meshes.js", defines=names)
+        is_defined = {"SKIN": skin, "PAINT": has_colors, "INSTANCES": self.is_prototype}
+        define_names = tuple(name for name, is_on in is_defined.items() if is_on)
+        self.program = device.program("meshes.js", defines=define_names)
         color = manifest_entry.get("color")
-        self._color = srgb_bytes(DEFAULT_COLOR if color is None else color) / 255
+        self._color = srgb_colors(DEFAULT_COLOR if color is None else color) / 255
         self._array: Any = None
         if not self.is_prototype:
             self._array = self.vertex_array([])
 
     def _shared_geometry(
-        self, geometries: dict[tuple[Any, ...], GeometryBuffers]
+        self, geometry_by_streams: dict[tuple[Any, ...], GeometryBuffers]
     ) -> GeometryBuffers:
         """Return the buffers of the rest mesh, shared with equal undeformed meshes."""
         manifest_entry, skin = (
@@ -147,16 +147,16 @@ class MeshRenderer:
         )
         if manifest_entry.get("cache") is not None or manifest_entry.get("shapes"):
             return GeometryBuffers(self._device, self._streams, manifest_entry)
-        names = ("points", "faces", "colors")
-        key = tuple(
-            [manifest_entry.get(name) for name in names]
+        stream_names = ("points", "faces", "colors")
+        geometry_key = tuple(
+            [manifest_entry.get(name) for name in stream_names]
             + [skin.get(name) for name in ("joints", "weights", "bind")]
         )
-        if key not in geometries:
-            geometries[key] = GeometryBuffers(
+        if geometry_key not in geometry_by_streams:
+            geometry_by_streams[geometry_key] = GeometryBuffers(
                 self._device, self._streams, manifest_entry
             )
-        return geometries[key]
+        return geometry_by_streams[geometry_key]
 
     def vertex_array(self, extra_buffers: list[tuple[Any, str, str]]) -> Any:
         """Return the vertex array of the mesh, with extra buffers appended."""
@@ -291,7 +291,7 @@ class InstanceRenderer:
         self._matrix_buffer, self._colors = VertexBuffer(device), VertexBuffer(device)
         self._instance_count = streams.width(manifest_entry["t"]) // 3
         color = mesh.manifest_entry.get("color") or DEFAULT_COLOR
-        self._colors.write(repeat_color(self._instance_count, srgb_bytes(color)))
+        self._colors.write(repeat_color(self._instance_count, srgb_colors(color)))
         self._array: Any = None
         self.pose = None
         self.matrices = np.zeros((0, 4, 4))
@@ -345,11 +345,11 @@ class PointRenderer:
         self._sprites = SpriteRenderer(device)
         count = streams.width(manifest_entry["positions"]) // 3
         self._point_colors = repeat_color(
-            count, srgb_bytes(manifest_entry.get("color") or POINT_COLOR)
+            count, srgb_colors(manifest_entry.get("color") or POINT_COLOR)
         )
         if manifest_entry.get("colors") is not None:
             colors = streams.static_values(manifest_entry["colors"]) / 255
-            self._point_colors = srgb_bytes(colors).astype(np.uint8).reshape(-1, 3)
+            self._point_colors = srgb_colors(colors).astype(np.uint8).reshape(-1, 3)
         radii = manifest_entry.get("radii")
         self._radii = None if radii is None else streams.static_values(radii)
         self.pose = None
@@ -383,11 +383,11 @@ class StrandRenderer:
     ) -> None:
         self._streams, self._manifest_entry, self.pose = streams, manifest_entry, pose
         self._lines = LineRenderer(device)
-        counts = streams.static_values(manifest_entry["counts"]).astype(np.int64)
-        has_next = np.ones(int(counts.sum()), bool)
-        has_next[np.cumsum(counts) - 1] = False
-        self._segment_starts = np.flatnonzero(has_next)
-        color = srgb_bytes(manifest_entry.get("color") or STRAND_COLOR)
+        point_counts = streams.static_values(manifest_entry["counts"]).astype(np.int64)
+        starts_segment = np.ones(int(point_counts.sum()), bool)
+        starts_segment[np.cumsum(point_counts) - 1] = False
+        self._segment_starts = np.flatnonzero(starts_segment)
+        color = srgb_colors(manifest_entry.get("color") or STRAND_COLOR)
         self._color = np.append(color, 255.0)
         self._points = np.zeros((0, 3))
 
@@ -407,8 +407,8 @@ class StrandRenderer:
             else:
                 points = points + pose.shift
         self._points = points
-        ends = (points[self._segment_starts], points[self._segment_starts + 1])
-        self._lines.set_segments(*ends, self._color)
+        segment_ends = (points[self._segment_starts], points[self._segment_starts + 1])
+        self._lines.set_segments(*segment_ends, self._color)
 
     def grow_bounds(self, bounds: Bounds) -> None:
         """Grow bounds by the points of the strands."""

@@ -29,8 +29,10 @@ def shader_source(module: str, name: str) -> str:
     True
     """
     shared_constants = _shader_constants(SHARED_MODULE)
-    texts = _shader_constants(module)
-    return _NAME_PATTERN.sub(lambda match: shared_constants[match[1]], texts[name])
+    shader_by_name = _shader_constants(module)
+    return _NAME_PATTERN.sub(
+        lambda match: shared_constants[match[1]], shader_by_name[name]
+    )
 
 
 @cache
@@ -47,8 +49,8 @@ def theme_colors() -> dict[str, tuple[int, int, int]]:
     >>> sorted(theme_colors())[:3]
     ['accent', 'bone', 'contact']
     """
-    light = viewer_text("viewer.css").partition("}")[0]
+    light_theme = viewer_text("viewer.css").partition("}")[0]
     return {
         name: (int(code[:2], 16), int(code[2:4], 16), int(code[4:], 16))
-        for name, code in _COLOR_PATTERN.findall(light)
+        for name, code in _COLOR_PATTERN.findall(light_theme)
     }

@@ -22,7 +22,7 @@ from animtool.documents.document import Document, Location, read_document
 from animtool.ik.file import targets_of_document
 from animtool.ik.goals import Goal, Targets
 from animtool.ik.tracks import GoalTrack, TargetTracks
-from animtool.ik.values import ArrayRows, Constant, KeyedValue, Span, Value
+from animtool.ik.values import ArrayRows, ConstantValue, KeyedValue, SampledValue, Span
 from animtool.motion.take import Take
 from animtool.rig.kinematics import WorldTransforms, rest_size
 from animtool.rig.limits import RangeLimit
@@ -127,9 +127,9 @@ def _spans_overlap(first: Sequence[Span], second: Sequence[Span]) -> bool:
     )
 
 
-def _equal_values(first: Value | None, second: Value | None) -> bool:
+def _equal_values(first: SampledValue | None, second: SampledValue | None) -> bool:
     match first, second:
-        case Constant(value=a), Constant(value=b):
+        case ConstantValue(value=a), ConstantValue(value=b):
             return a == b
         case KeyedValue(channel=c), KeyedValue(channel=d):
             has_equal_times = np.array_equal(c.times, d.times)
@@ -145,7 +145,7 @@ def weightless_parts(subject: TargetsSubject) -> Iterator[Fault]:
     for i, goal in enumerate(subject.targets.goals):
         for kind_name, weight in goal.weights.items():
             match weight:
-                case Constant(value=(0.0,)):
+                case ConstantValue(value=(0.0,)):
                     pass
                 case KeyedValue(channel=channel) if not channel.values.any():
                     pass
@@ -318,7 +318,9 @@ def mismatched_unit(subject: SceneSubject) -> Iterator[Fault]:
         goal_indices = [
             goal_index
             for goal_index, track in enumerate(sampled_targets.tracks.goals)
-            if isinstance(track.values["position"], Constant | KeyedValue | ArrayRows)
+            if isinstance(
+                track.values["position"], ConstantValue | KeyedValue | ArrayRows
+            )
         ]
         point_sets = [np.zeros((0, 3))]
         for goal_points, is_active in map(sampled_targets.points, goal_indices):

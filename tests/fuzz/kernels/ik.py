@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from animtool import _kernels
-from animtool.ik.goals import KINDS, WEIGHT_COLUMNS
+from animtool.ik.goals import GOAL_KINDS, WEIGHT_COLUMNS
 from fuzz.kernels import Maker
 from fuzz.kernels.curves import rotations
 from fuzz.kernels.points import WIDTHS, joint_arrays, parents
@@ -43,7 +43,7 @@ class Problem:
             tip = int(rng.integers(count))
             row[:] = [tip, rng.integers(tip + 1), rng.integers(tip + 1), 0]
         self.goals[:, 3] = rng.integers(0, max(goals, 1), goals)
-        numbers = rng.normal(size=(goals, 9 + len(KINDS)))
+        numbers = rng.normal(size=(goals, 9 + len(GOAL_KINDS)))
         numbers[:, 6:9] = [0, 0, 1]
         numbers[:, 9:] = rng.choice([0.0, 0.1, 1.0], (goals, 4))
         self.arrays = {**self.chain, "goals": self.goals, "goal_numbers": numbers}
