@@ -236,20 +236,20 @@ def write_bundle(
         message = f"a bundle is a folder, not a {folder.suffix} file"
         hint = f"for example {folder.with_suffix('.job')}"
         raise OptionError(Fault("OUT004", message, str(folder), (), hint))
-    values = [
+    parameter_entries = [
         {"name": name, "value": value}
         for name, value in bundle.parameter_values.items()
     ]
-    texts = {
+    text_by_path = {
         folder / TEMPLATE_FILE: yaml_text(dict(bundle.template)),
-        folder / VALUES_FILE: yaml_text({"parameterValues": values}),
+        folder / VALUES_FILE: yaml_text({"parameterValues": parameter_entries}),
     }
     try:
         folder.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise output_error(folder, error) from error
-    check_outputs(list(texts), [], overwrite=overwrite)
+    check_outputs(list(text_by_path), [], overwrite=overwrite)
     with atomic_outputs():
-        for path, text in texts.items():
+        for path, text in text_by_path.items():
             write_parts(path, [text.encode()])
-    return WrittenBundle(folder, list(texts), bundle)
+    return WrittenBundle(folder, list(text_by_path), bundle)

@@ -195,9 +195,9 @@ class _ClusterRun:
             if not (has_more or self.undelivered_outcomes or is_building):
                 return
             with suppress(Empty):
-                future, value = self.results.get(timeout=POLL_INTERVAL)
+                future, result = self.results.get(timeout=POLL_INTERVAL)
                 if future in self.sent_tasks:
-                    yield from self._handle_answer(self.sent_tasks.pop(future), value)
+                    yield from self._handle_answer(self.sent_tasks.pop(future), result)
             yield from self._delivered_outcomes()
 
     def _thread_counts(self) -> Mapping[str, int]:
@@ -246,7 +246,7 @@ class _ClusterRun:
     def _resend_lost_item(
         self, sent_task: _SentTask, reason: str
     ) -> Iterator[ItemOutcome]:
-        """Send the item of a lost worker again; let it fail after too many attempts."""
+        """Send the item of a lost worker again, or fail it after too many attempts."""
         sent_task.worker.running_count -= sent_task.item is not None
         if sent_task.item is None:
             return
@@ -365,13 +365,13 @@ class _ClusterRun:
 
         If the worker's inputs differ, another worker builds the item.
         """
-        other_inputs = self.delivery.inputs_that_differ(outcome)
-        changed_inputs = self.delivery.locally_changed(other_inputs)
+        different_inputs = self.delivery.inputs_that_differ(outcome)
+        changed_inputs = self.delivery.locally_changed(different_inputs)
         if changed_inputs:
             yield ItemOutcome.failed(item, *changed_error(*changed_inputs).faults)
-        elif other_inputs:
+        elif different_inputs:
             reason = "it has different files with the same names: "
-            reason += listed(other_inputs, 2)
+            reason += listed(different_inputs, 2)
             yield from self._exclude_worker(worker, INPUTS_CODE, reason)
             self.items_to_resend.append(item)
         else:

@@ -98,31 +98,31 @@ def prepare_worker(
     differences = version_differences(versions, builder_versions())
     if differences:
         return VERSIONS_CODE, f"it has {differences}"
-    worker_check: WorkerRequirements = pickle.loads(pickled_requirements)
-    code, reason = next(_unfit_reasons(worker_check), ("", ""))
+    requirements: WorkerRequirements = pickle.loads(pickled_requirements)
+    code, reason = next(_unfit_reasons(requirements), ("", ""))
     if not code:
-        worker.plugins[run_name] = WorkerProcesses(worker_check.task)
+        worker.plugins[run_name] = WorkerProcesses(requirements.task)
     return code, reason
 
 
-def _unfit_reasons(worker_check: WorkerRequirements) -> Iterator[tuple[str, str]]:
+def _unfit_reasons(requirements: WorkerRequirements) -> Iterator[tuple[str, str]]:
     """Yield a code and a reason for each requirement that this worker does not meet."""
-    if not Path(worker_check.task.folder).is_dir():
-        yield INPUTS_CODE, f"it has no folder {excerpt(worker_check.task.folder, 200)}"
-    paths = [input_check.path for input_check in worker_check.inputs]
+    if not Path(requirements.task.folder).is_dir():
+        yield INPUTS_CODE, f"it has no folder {excerpt(requirements.task.folder, 200)}"
+    paths = [input_check.path for input_check in requirements.inputs]
     missing_paths = [path for path in paths if not os.access(path, os.R_OK)]
     if missing_paths:
         counts_text = f"{len(missing_paths)} of {len(paths)} inputs"
         yield INPUTS_CODE, f"it cannot read {counts_text}: {listed(missing_paths, 2)}"
     different_paths = [
         input_check.path
-        for input_check in worker_check.inputs
+        for input_check in requirements.inputs
         if not _has_expected_content(input_check)
     ]
     if different_paths:
         reason = "it has different files with the same names: "
         yield INPUTS_CODE, reason + listed(different_paths, 2)
-    for path, text in worker_check.tokens.items():
+    for path, text in requirements.tokens.items():
         folder = Path(path).parent
         try:
             has_token = read_input(Path(path), is_recorded=False) == text.encode()
@@ -163,30 +163,34 @@ class WorkerProcesses:
     """The subprocesses in which the threads of a worker build items."""
 
     task: WorkerTask
-    _idle: list[WorkerProcess] = field(default_factory=list)
-    _busy: list[WorkerProcess] = field(default_factory=list)
+    _idle_processes: list[WorkerProcess] = field(default_factory=list)
+    _busy_processes: list[WorkerProcess] = field(default_factory=list)
 
     def build(self, item: Item) -> ItemOutcome:
         """Build an item in an idle subprocess, or a new one; return its outcome."""
         # Both operations are atomic among threads.
-        process = self._idle.pop() if self._idle else WorkerProcess(self.task)
-        self._busy.append(process)
+        process = (
+            self._idle_processes.pop()
+            if self._idle_processes
+            else WorkerProcess(self.task)
+        )
+        self._busy_processes.append(process)
         try:
             outcome = process.build_item(item)
         except OSError as error:
-            self._busy.remove(process)
+            self._busy_processes.remove(process)
             process.end()
             message = f"cannot be built there: {error}"
             fault = Fault("BAT020", message, str(item.file.path))
             return ItemOutcome.failed(item, fault)
-        self._busy.remove(process)
-        self._idle.append(process)
+        self._busy_processes.remove(process)
+        self._idle_processes.append(process)
         return outcome
 
     def teardown(self, worker: object) -> None:
         """Kill the subprocesses; dask calls this when the worker closes."""
         del worker
-        for process in [*self._idle, *self._busy]:
+        for process in [*self._idle_processes, *self._busy_processes]:
             process.end()
 
 

@@ -22,7 +22,7 @@ from animtool.core.timecode import is_timecode, parse_timecode
 
 @dataclass(frozen=True, slots=True)
 class CutOptions:
-    """Shot settings from options, a timeline's metadata or a clip's; None if not set.
+    """Shot settings from options or from metadata of a timeline or clip; None if unset.
 
     Metadata are the keys of ``metadata.animtool``. Options take precedence over those
     of a clip, which do over those of the timeline.
@@ -59,25 +59,25 @@ def cut_metadata(
     if stated_values is None:
         return CutOptions(), []
     location = f"metadata.animtool of {owner_label}"
-    names = [entry.name for entry in fields(CutOptions)]
+    setting_names = [entry.name for entry in fields(CutOptions)]
     if not allows_fps:
-        names.remove("fps")
+        setting_names.remove("fps")
     if not isinstance(stated_values, Mapping):
-        hint = f"keys: {', '.join(names)}"
+        hint = f"keys: {', '.join(setting_names)}"
         return CutOptions(), [(f"{location} is not a table", hint)]
-    values: dict[str, Any] = {}
+    settings: dict[str, Any] = {}
     faults = []
     for key, value in stated_values.items():
-        if key not in names:
+        if key not in setting_names:
             message = f"{location} has no key {excerpt(key)}"
-            faults.append((message, name_hint(key, names)))
+            faults.append((message, name_hint(key, setting_names)))
             continue
         try:
-            values[key] = _PARSERS.get(key, _parse_integer)(key, value)
+            settings[key] = _PARSERS.get(key, _parse_integer)(key, value)
         except (TypeError, ValueError) as error:
             hint = f"write a value such as {EXAMPLE_VALUES[key]}"
             faults.append((f"{location}: {key}: {error}", hint))
-    return CutOptions(**values), faults
+    return CutOptions(**settings), faults
 
 
 EXAMPLE_VALUES = {
@@ -133,13 +133,16 @@ class CutContext:
     """Settings of a shot by precedence: options, clip, timeline, project."""
 
     options: CutOptions
-    clip: CutOptions
-    timeline: CutOptions
+    clip_options: CutOptions
+    timeline_options: CutOptions
     project: Config
 
     def _first_setting(self, name: str) -> Any:
         """Return a setting from the options, else clip, else timeline; else None."""
-        values = (getattr(o, name) for o in (self.options, self.clip, self.timeline))
+        values = (
+            getattr(o, name)
+            for o in (self.options, self.clip_options, self.timeline_options)
+        )
         return next((value for value in values if value is not None), None)
 
     @property
@@ -171,40 +174,49 @@ class CutContext:
         return parse_timecode(text, rate) / rate
 
     def cut_in(self) -> tuple[int, CutConflict | None]:
-        """Return the first frame of the cut, and the conflict of settings, if any.
+        """Return the first frame of the cut, and a conflict of settings if any.
 
         A start includes the head handle. The project's default is 1001.
         """
         project = self.project
-        levels = {
+        options_by_level = {
             "": self.options,
-            "its metadata": self.clip,
-            "the timeline's": self.timeline,
+            "its metadata": self.clip_options,
+            "the timeline's": self.timeline_options,
             "settings": CutOptions(cut_start=project.timeline.cut_start),
         }
-        for level_name, level in levels.items():
-            start, cut_start = level.start_frame, level.cut_start
-            cut_begin = None if start is None else start + self.handles
+        for level_name, level in options_by_level.items():
+            start_frame, cut_start = level.start_frame, level.cut_start
+            cut_begin = None if start_frame is None else start_frame + self.handles
             if cut_start is not None:
                 has_conflict = cut_begin not in {None, cut_start}
                 conflict = self._conflict(level_name, level) if has_conflict else None
                 return cut_start, conflict
             if cut_begin is not None:
                 return cut_begin, None
-        start = SHOT_START if project.start is None else int(project.start)
-        return start + self.handles, None
+        start_frame = SHOT_START if project.start is None else int(project.start)
+        return start_frame + self.handles, None
 
     def _conflict(self, level_name: str, level: CutOptions) -> CutConflict:
-        """Return the conflict of start and cut_start of a level; "" is the options."""
-        start, cut_start, handles = level.start_frame, level.cut_start, self.handles
-        assert start is not None
-        texts = f"start_frame {start}", f"cut_start is {cut_start}"
+        """Return the conflict of a level's start and cut_start; "" is the options."""
+        start_frame, cut_start, handles = (
+            level.start_frame,
+            level.cut_start,
+            self.handles,
+        )
+        assert start_frame is not None
+        texts = f"start_frame {start_frame}", f"cut_start is {cut_start}"
         handles_text = f"handles of {handles}"
         if not level_name:
-            texts = argument("start", start), f"{argument('cut_start')} is {cut_start}"
+            texts = (
+                argument("start", start_frame),
+                f"{argument('cut_start')} is {cut_start}",
+            )
             if level.handles is not None:
                 handles_text = argument("handles", handles)
-        message = f"{texts[0]} with {handles_text} begins the cut at {start + handles}"
+        message = (
+            f"{texts[0]} with {handles_text} begins the cut at {start_frame + handles}"
+        )
         message = f"{message}, but {texts[1]}"
         is_general = not level_name and level.handles is not None
         return CutConflict(
@@ -257,13 +269,15 @@ def shot_notices(
     shot: Shot, span: Span, fps: Fraction, clip_text: str
 ) -> Iterator[tuple[str, str, Severity]]:
     """Yield notices about a shot: code, message and severity."""
-    frames = (shot.cut_in, shot.cut_out)
-    begin, end = (f"{float(shot.seconds_at(frame)):.6g} s" for frame in frames)
+    cut_frames = (shot.cut_in, shot.cut_out)
+    begin_text, end_text = (
+        f"{float(shot.seconds_at(frame)):.6g} s" for frame in cut_frames
+    )
     if shot.speed == 0:
-        message = f"{clip_text} freezes its media at {begin}; so does the shot"
+        message = f"{clip_text} freezes its media at {begin_text}; so does the shot"
         yield "BAT044", message, Severity.NOTE
     elif shot.speed < 0:
-        range_text = f"from {begin} of its media to {end}"
+        range_text = f"from {begin_text} of its media to {end_text}"
         message = f"{clip_text} plays in reverse, {range_text}; so does the shot"
         yield "BAT044", message, Severity.WARNING
     shown_frames = float(span.seconds * fps)

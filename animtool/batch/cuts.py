@@ -118,21 +118,23 @@ def _shot_clips(
 
     ``skip_reasons`` say why clips are not shots, by their names.
     """
-    names = [shown_clip.name for shown_clip in shown_clips]
-    if name is not None and name not in names and name in skip_reasons:
+    shot_names = [shown_clip.name for shown_clip in shown_clips]
+    if name is not None and name not in shot_names and name in skip_reasons:
         message = f"has no shot {excerpt(name)}: {skip_reasons[name]}"
         raise OptionError(Fault("BAT048", message, str(path)))
-    if not names:
+    if not shot_names:
         message = "has no clip, so there is no shot to bake"
         raise OptionError(Fault("BAT048", message, str(path)))
-    shots_text = f"the shots are {listed(names, MAX_LISTED_SHOTS)}"
+    shots_text = f"the shots are {listed(shot_names, MAX_LISTED_SHOTS)}"
     if name is None:
-        if len(names) == 1:
+        if len(shot_names) == 1:
             return list(shown_clips)
-        message = f"has {counted(len(names), 'shot')}: name one with {argument('shot')}"
+        message = (
+            f"has {counted(len(shot_names), 'shot')}: name one with {argument('shot')}"
+        )
         raise OptionError(Fault("BAT048", message, str(path), (), shots_text))
-    if name not in names:
-        suggestion = name_hint(name, names)
+    if name not in shot_names:
+        suggestion = name_hint(name, shot_names)
         hint = (
             f"{suggestion} {shots_text}" if suggestion.startswith("did") else shots_text
         )

@@ -28,15 +28,15 @@ class Delivery:
 
     root: Path  # root of the paths in records
     # State of inputs at their first access.
-    _first_states: dict[Path, FileState | None] = field(default_factory=dict)
-    _digests: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
+    _first_states_by_path: dict[Path, FileState | None] = field(default_factory=dict)
+    _digests_by_path: dict[Path, tuple[FileState, str]] = field(default_factory=dict)
 
     def first_state(self, path: Path) -> FileState | None:
         """Return the state of an input when it was first recorded."""
         absolute_path = path.absolute()
-        if absolute_path not in self._first_states:
-            self._first_states[absolute_path] = FileState.of(absolute_path)
-        return self._first_states[absolute_path]
+        if absolute_path not in self._first_states_by_path:
+            self._first_states_by_path[absolute_path] = FileState.of(absolute_path)
+        return self._first_states_by_path[absolute_path]
 
     def input_checks(self, inputs: Iterable[Path]) -> Iterator[InputCheck]:
         """Yield the inputs that a worker must see; every n-th one if there are many."""
@@ -54,11 +54,13 @@ class Delivery:
 
     def inputs_that_differ(self, outcome: ItemOutcome) -> list[Path]:
         """Return the inputs whose local content differs from what the item read."""
-        paths = [
+        paths_and_records = [
             (path_of_name(record.path, self.root), record) for record in outcome.inputs
         ]
         return [
-            path for path, record in paths if not self._matches_record(path, record)
+            path
+            for path, record in paths_and_records
+            if not self._matches_record(path, record)
         ]
 
     def locally_changed(self, paths: Iterable[Path]) -> list[Path]:
@@ -90,16 +92,16 @@ class Delivery:
 
     def _matches_record(self, path: Path, record: FileRecord) -> bool:
         state = FileState.of(path)
-        self._first_states.setdefault(path, state)
+        self._first_states_by_path.setdefault(path, state)
         if state is None or record.state is None:
             return state is record.state
         return not record.sha256 or self._digest(path, state) == record.sha256
 
     def _digest(self, path: Path, state: FileState) -> str:
-        cached_digest = self._digests.get(path)
+        cached_digest = self._digests_by_path.get(path)
         if cached_digest is None or cached_digest[0] != state:
             try:
-                self._digests[path] = cached_digest = state, file_digest(path)
+                self._digests_by_path[path] = cached_digest = state, file_digest(path)
             except (AnimtoolError, OSError):
                 return "unreadable"
         return cached_digest[1]

@@ -97,25 +97,25 @@ def check_effects(
 ) -> None:
     """Raise an error for a scene that uses neither its inputs nor the variants."""
     shots_by_source = {spec.scene or shot.media.path: shot for shot in reversed(shots)}
-    names = () if spec.variants is None else spec.variants.names
+    column_names = () if spec.variants is None else spec.variants.names
     item_names = _item_names(spec)
     faults = []
     for path, shot in sorted(shots_by_source.items()):
         if not has_kind_suffix(path, "scene"):
-            if names:
+            if column_names:
                 hint = f"{argument('scene')} names a scene that uses ${{input}} and "
                 hint += "the variants"
                 fault = Fault("BAT060", "variants need a scene", str(path), (), hint)
                 faults.append(fault)
             continue
-        if spec.scene is None and not names:
+        if spec.scene is None and not column_names:
             continue
         with locate_value_faults(spec):
             source = item_task.source(_first_item(spec, shot, overrides))
         scene = cast("Scene", source)
         if spec.scene is not None and not scene.effective_variables & item_names:
             faults.append(_unused_inputs_fault(scene, len(shots)))
-        if names and not scene.effective_variables.intersection(names):
+        if column_names and not scene.effective_variables.intersection(column_names):
             faults.append(_unused_variants_fault(spec, scene))
     if faults:
         raise OptionError(faults[:MAX_FAULTS])
@@ -124,18 +124,20 @@ def check_effects(
 def _unused_variants_fault(spec: BatchSpec, scene: Scene) -> Fault:
     """Return a fault, located in the batch, for a scene that uses no variant."""
     assert spec.variants is not None
-    names, used_names = spec.variants.names, sorted(scene.effective_variables)
+    column_names, used_names = spec.variants.names, sorted(scene.effective_variables)
     file_name = Path(str(scene.path)).name
-    message = f"{file_name} uses no {' or '.join(f'${{{name}}}' for name in names)}"
+    message = (
+        f"{file_name} uses no {' or '.join(f'${{{name}}}' for name in column_names)}"
+    )
     if used_names:
         message += f"; it uses {listed([f'${{{name}}}' for name in used_names])}"
     candidates = [name for name in used_names if name not in _item_names(spec)]
-    for name in names:
+    for name in column_names:
         if similar_name := most_similar(name, candidates):
             hint = f"did you mean {similar_name!r}?"
             return variable_fault(spec, name, "BAT060", message, hint)
-    hint = f"write ${{{names[0]}}} in {file_name} in place of a value"
-    return variable_fault(spec, names[0], "BAT060", message, hint)
+    hint = f"write ${{{column_names[0]}}} in {file_name} in place of a value"
+    return variable_fault(spec, column_names[0], "BAT060", message, hint)
 
 
 def _unused_inputs_fault(scene: Scene, item_count: int) -> Fault:
@@ -244,15 +246,17 @@ def scene_values(spec: BatchSpec) -> dict[Path, SceneValues]:
         path = spec.scene or shot.media.path
         if path not in values_by_scene and has_kind_suffix(path, "scene"):
             item = _first_item(spec, shot, overrides)
-            names = item_task.variable_values(item)
-            values_by_scene[path] = SceneValues(names, frozenset(item.scene_values))
+            variable_values = item_task.variable_values(item)
+            values_by_scene[path] = SceneValues(
+                variable_values, frozenset(item.scene_values)
+            )
     return values_by_scene
 
 
 def unused_variable_faults(spec: BatchSpec) -> list[Fault]:
     """Return a fault for each variable that the scene of a batch does not use.
 
-    None if the batch names no scene, or it cannot be read.
+    The list is empty if the batch names no scene, or the scene cannot be read.
     """
     try:
         spec = _with_scene_input(with_timeline_as_cuts(spec))
@@ -296,7 +300,7 @@ def _check_pattern(spec: BatchSpec, pattern: str) -> None:
 
 
 def _item_task(spec: BatchSpec, files: Sequence[MatchedFile]) -> ItemTask:
-    """Return how to build items: the scene, its variables, and the options."""
+    """Return the task that builds items: the scene, its variables, and the options."""
     paths = [file.path for file in files]
     path_by_kind = {
         (path.suffix.lower(), has_kind_suffix(path, "scene")): path for path in paths
@@ -380,10 +384,10 @@ class _ItemListBuilder:
                 f"{shot.shot_values['shot']}{suffix}.usdc"
             )
         if output_pattern is not None:
-            names = {**spec.variables, **variables, **input_values(file)}
-            names |= {**shot.shot_values, **file_name_parts}
+            value_by_name = {**spec.variables, **variables, **input_values(file)}
+            value_by_name |= {**shot.shot_values, **file_name_parts}
             try:
-                output_path = output_pattern.path(names)
+                output_path = output_pattern.path(value_by_name)
             except UnsafeNameError as error:
                 self._record_unsafe_output(shot, row, error)
         variant_arguments = ((), row, variables, shot.shot)

@@ -130,20 +130,22 @@ class _VariantReader:
             message = f"{len(entries)} variants: {TOO_MANY_TEXT}"
             self.document.add("BAT065", VARIANTS_LOCATION, message)
             return None
-        names = list(entries[0])
-        self._check_names((*VARIANTS_LOCATION, 0), names)
-        if not names:
+        column_names = list(entries[0])
+        self._check_names((*VARIANTS_LOCATION, 0), column_names)
+        if not column_names:
             self.document.add("BAT061", (*VARIANTS_LOCATION, 0), "a row has no values")
         rows = []
         for i, entry in enumerate(entries):
             location = (*VARIANTS_LOCATION, i)
-            if set(entry) != set(names):
+            if set(entry) != set(column_names):
                 message = "the columns differ from those of the first row: "
-                message += ", ".join(sorted(set(entry) ^ set(names)))
-                hint = f"columns: {', '.join(names)}"
+                message += ", ".join(sorted(set(entry) ^ set(column_names)))
+                hint = f"columns: {', '.join(column_names)}"
                 self.document.add("BAT062", location, message, hint)
                 continue
-            rows.append({name: self._value((*location, name), entry) for name in names})
+            rows.append(
+                {name: self._value((*location, name), entry) for name in column_names}
+            )
         return Variants(tuple(rows))
 
     def _check_names(self, location: Location, names: list[str]) -> None:

@@ -100,9 +100,9 @@ def with_timeline_as_cuts(spec: BatchSpec) -> BatchSpec:
     timelines = [text for text in spec.inputs if is_timeline(spec.folder / text)]
     if not timelines:
         return _with_rate(spec)
-    cuts = [*([] if spec.cuts is None else [str(spec.cuts)]), *timelines]
-    if len(cuts) > 1:
-        message = f"the inputs contain several timelines: {listed(cuts)}"
+    all_timelines = [*([] if spec.cuts is None else [str(spec.cuts)]), *timelines]
+    if len(all_timelines) > 1:
+        message = f"the inputs contain several timelines: {listed(all_timelines)}"
         hint = "a batch takes the shots of one timeline"
         raise OptionError(Fault("BAT050", message, hint=hint))
     inputs = tuple(text for text in spec.inputs if text not in timelines)
@@ -151,12 +151,14 @@ def _matched_inputs(
 
 def input_faults(spec: BatchSpec, document: Document) -> list[Fault]:
     """Return a warning for each entry without a file, and faults in the output."""
-    files, _, unmatched = _matched_inputs(spec)
-    shared = shared_output_fault(spec, files)
-    if shared is None:
-        return unmatched
-    fault = document.fault(shared.code, ("output",), shared.message, shared.hint)
-    return [*unmatched, fault]
+    files, _, unmatched_warnings = _matched_inputs(spec)
+    shared_fault = shared_output_fault(spec, files)
+    if shared_fault is None:
+        return unmatched_warnings
+    fault = document.fault(
+        shared_fault.code, ("output",), shared_fault.message, shared_fault.hint
+    )
+    return [*unmatched_warnings, fault]
 
 
 def shared_output_fault(spec: BatchSpec, files: Sequence[MatchedFile]) -> Fault | None:
@@ -165,8 +167,13 @@ def shared_output_fault(spec: BatchSpec, files: Sequence[MatchedFile]) -> Fault 
     Shots and variants are compared with their outputs, when these are known.
     """
     output = spec.output
-    is_several = len(files) > 1 and spec.cuts is None and spec.variants is None
-    if output is None or not is_several or "{" in output or not Path(output).suffix:
+    has_several_items = len(files) > 1 and spec.cuts is None and spec.variants is None
+    if (
+        output is None
+        or not has_several_items
+        or "{" in output
+        or not Path(output).suffix
+    ):
         return None
     path, stems = Path(output), {file.path.stem for file in files}
     is_stem_unique = len(stems) == len(files)
@@ -257,7 +264,7 @@ def resolve_overrides(
     resolve_path = PathResolver()
     path_by_location = {resolve_path(file.path): file.path for file in files}
     suffixes = input_suffixes(spec)
-    values: dict[Path, dict[str, str]] = {}
+    values_by_path: dict[Path, dict[str, str]] = {}
     notices = []
     for index, override in enumerate(spec.overrides):
         matched_locations = {
@@ -267,7 +274,9 @@ def resolve_overrides(
         }
         overridden_inputs = path_by_location.keys() & matched_locations
         for location in overridden_inputs:
-            values.setdefault(path_by_location[location], {}).update(override.variables)
+            values_by_path.setdefault(path_by_location[location], {}).update(
+                override.variables
+            )
         if not overridden_inputs:
             message = f"no input of the batch is {listed(override.inputs)}"
             hint = "inputs are files, folders and globs, relative to the batch file"
@@ -275,4 +284,4 @@ def resolve_overrides(
             notices.append(
                 Fault("BAT066", message, spec.path_text, (), hint, warning, where=where)
             )
-    return OverriddenVariables(values, tuple(notices))
+    return OverriddenVariables(values_by_path, tuple(notices))

@@ -94,11 +94,14 @@ def pattern_problems(
         message = f"{pattern!r} is not a valid pattern: {error}"
         yield message, "write {{ for a literal brace"
         return
-    names = [*INPUT_NAMES, *variables]
+    known_names = [*INPUT_NAMES, *variables]
     for name, format_spec, conversion in name_fields:
-        if name is not None and (format_spec or conversion or name not in names):
+        if name is not None and (format_spec or conversion or name not in known_names):
             quoted_name = f"{{{name}}}" if name or not format_spec else "{}"
-            yield f"unknown name in {pattern!r}: {quoted_name}", name_hint(name, names)
+            yield (
+                f"unknown name in {pattern!r}: {quoted_name}",
+                name_hint(name, known_names),
+            )
 
 
 def output_root(pattern: str) -> PurePath:
@@ -131,7 +134,7 @@ class OutputPattern:
             component_text = component.format(**values)
             if set(names) - _INPUT_FOLDERS:
                 is_below_root = True
-                self._check(component_text, names, values)
+                self._check_component(component_text, names, values)
             path /= component_text
             root = root if is_below_root else path
         if is_below_root and not self._stays_inside(path.parent, root):
@@ -139,7 +142,7 @@ class OutputPattern:
             raise UnsafeNameError("", message)
         return path
 
-    def _check(
+    def _check_component(
         self, component: str, names: list[str], values: Mapping[str, str]
     ) -> None:
         """Raise an error for path parts that are not single legal names."""
@@ -159,13 +162,13 @@ class OutputPattern:
                 raise UnsafeNameError(names[-1], message + problem)
 
     def _stays_inside(self, folder: Path, root: Path) -> bool:
-        key = folder, root
-        if key not in self._inside_by_folders:
+        folder_pair = folder, root
+        if folder_pair not in self._inside_by_folders:
             try:
-                self._inside_by_folders[key] = is_inside(folder, root)
+                self._inside_by_folders[folder_pair] = is_inside(folder, root)
             except OSError:
-                self._inside_by_folders[key] = False
-        return self._inside_by_folders[key]
+                self._inside_by_folders[folder_pair] = False
+        return self._inside_by_folders[folder_pair]
 
 
 class UnsafeNameError(ValueError):
@@ -323,11 +326,11 @@ class ItemTask:
 
     def variable_values(self, item: Item) -> dict[str, str]:
         """Return the values of ``${name}`` in the scene of an item."""
-        names = input_values(item.file)
+        values = input_values(item.file)
         if self.scene is None:
             # A scene used as an input takes no input.
-            del names["input"]
-        return {**names, **item.scene_values, **self.variables, **item.variables}
+            del values["input"]
+        return {**values, **item.scene_values, **self.variables, **item.variables}
 
     def source(self, item: Item) -> Source:
         """Return the loaded scene of an item, or its input file if it has no scene."""

@@ -121,7 +121,7 @@ class _RecordFiles:
             return self.parts_folder / f"{self.part}{suffix}"
         return self.folder / f"batch-{self.name}{suffix}"
 
-    def records(self) -> tuple[Path, Path]:
+    def record_paths(self) -> tuple[Path, Path]:
         """Return the paths of the manifest and of the failures."""
         return self.record_path(".jsonl"), self.record_path(".failed.jsonl")
 
@@ -157,7 +157,7 @@ def _read_records(files: _RecordFiles) -> tuple[History, Manifest, int]:
     history, local_manifest, failures_length = History(), Manifest(), 0
     full_files = files.batch_files()
     for source in (full_files, *full_files.part_files()):
-        manifest_path, failures_path = source.records()
+        manifest_path, failures_path = source.record_paths()
         manifest, failures = read_manifest(manifest_path), read_failures(failures_path)
         history.manifest.merge(manifest)
         history.failure_reasons |= failures.reasons
@@ -222,7 +222,9 @@ class Ledger:
         self.close()
         if self._files.part:
             return
-        part_paths = [path for f in self._files.part_files() for path in f.records()]
+        part_paths = [
+            path for f in self._files.part_files() for path in f.record_paths()
+        ]
         if not (self._has_changes or any(path.exists() for path in part_paths)):
             return
         manifest = self.history.manifest
@@ -237,7 +239,7 @@ class Ledger:
             if name in recorded_names
             or FileState.of(path_of_name(name, root)) is not None
         ]
-        manifest_path, failures_path = self._files.records()
+        manifest_path, failures_path = self._files.record_paths()
         rewrite_manifest(manifest_path, kept_records, known_names)
         rewrite_failures(failures_path, self.history.failure_reasons)
         for path in part_paths:

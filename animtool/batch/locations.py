@@ -55,25 +55,25 @@ def _locate_faults(spec: BatchSpec, faults: Sequence[Fault]) -> list[Fault]:
     """Return the faults of a scene, located in the batch for values from there."""
     from animtool.documents.placeholders import value_at  # loads pydantic
 
-    values = {**spec.variables, **spec.rows[0]}
+    batch_values = {**spec.variables, **spec.rows[0]}
     documents: dict[str, Document] = {}
     located_faults = []
     for fault in faults:
         name = None
-        if fault.path and fault.where and values:
+        if fault.path and fault.where and batch_values:
             path = fault.path
             if path not in documents:
                 documents[path] = read_document(Path(path))
             text = None
             with suppress(KeyError, IndexError, TypeError):
                 text = value_at(documents[path].value, parse_location(fault.where))
-            name = next((n for n in values if text == f"${{{n}}}"), None)
+            name = next((n for n in batch_values if text == f"${{{n}}}"), None)
         if name is None:
             located_faults.append(fault)
             continue
         message = f"{fault.message}, for {fault.where} of {Path(str(fault.path)).name}"
         hint = fault.hint
-        suggested_range = translate_range(values[name])
+        suggested_range = translate_range(batch_values[name])
         if suggested_range is not None:
             numbers = suggested_range.replace("..", " to ", 1)
             hint = f"for the numbers {numbers} write {suggested_range}"

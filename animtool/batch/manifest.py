@@ -219,7 +219,7 @@ def read_manifest(path: Path) -> Manifest:
 def _add_line(
     manifest: Manifest, files_by_number: dict[int, FileRecord], line: Mapping[str, Any]
 ) -> None:
-    """Add the record of a line to a manifest, and a file to ``files`` by its number."""
+    """Add the record of a line to a manifest; add a file to ``files_by_number`` too."""
     if "known" in line:
         manifest.known_names.update(texts_in(line, "known"))
     elif "file" in line:
@@ -249,8 +249,10 @@ class ManifestWriter(LineWriter):
     def add_names(self, names: Iterable[str]) -> None:
         """Append the names of files that are about to be written."""
         listed_names = list(names)
-        starts = range(0, len(listed_names), NAMES_PER_LINE)
-        self.write({"known": listed_names[i : i + NAMES_PER_LINE]} for i in starts)
+        first_indices = range(0, len(listed_names), NAMES_PER_LINE)
+        self.write(
+            {"known": listed_names[i : i + NAMES_PER_LINE]} for i in first_indices
+        )
 
     def add(self, record: ItemRecord) -> None:
         """Append an item, after a line for each file that has no number yet."""

@@ -81,8 +81,8 @@ class Planner:
         self._history = history
         self._current_time_ns = current_time_ns
         self._rehashes_files, self._builds_all = rehashes_files, builds_all
-        self._states: dict[str, FileState | None] = {}
-        self._digests: dict[str, str] = {}
+        self._states_by_path: dict[str, FileState | None] = {}
+        self._digests_by_path: dict[str, str] = {}
 
     def record_key(self, item: Item) -> str:
         """Return the key of an item's record: its output, relative to the root."""
@@ -98,19 +98,19 @@ class Planner:
         return digest_of(package_versions())
 
     def decide(self, item: Item) -> BuildDecision:
-        """Return whether to build an item: if options, versions or files changed."""
+        """Return whether to build an item, and why: what changed since the last run."""
         key = self.record_key(item)
         record = self._history.manifest.items.get(key)
-        failure = self._history.failure_reasons.get(key)
+        failure_reason = self._history.failure_reasons.get(key)
         if self._builds_all:
             return BuildDecision(item, BuildReason.FORCED)
         if record is None:
-            if failure is not None:
-                return BuildDecision(item, BuildReason.FAILED, failure)
+            if failure_reason is not None:
+                return BuildDecision(item, BuildReason.FAILED, failure_reason)
             return BuildDecision(item, BuildReason.NEW)
         decision = self._decide_by_record(item, record)
-        if decision.is_due and failure is not None:
-            return BuildDecision(item, BuildReason.FAILED, failure)
+        if decision.is_due and failure_reason is not None:
+            return BuildDecision(item, BuildReason.FAILED, failure_reason)
         return decision
 
     def _decide_by_record(self, item: Item, record: ItemRecord) -> BuildDecision:
@@ -149,10 +149,10 @@ class Planner:
         self, file: FileRecord, *, is_young: bool
     ) -> FileRecord | None:
         """Return the current record of a file; None if its content differs."""
-        if file.path not in self._states:
+        if file.path not in self._states_by_path:
             path = path_of_name(file.path, self._batch.root)
-            self._states[file.path] = FileState.of(path)
-        state = self._states[file.path]
+            self._states_by_path[file.path] = FileState.of(path)
+        state = self._states_by_path[file.path]
         if state is None or file.state is None:
             return file if state is file.state else None
         if state == file.state and not is_young and not self._rehashes_files:
@@ -162,20 +162,22 @@ class Planner:
         return replace(file, state=state)
 
     def _digest(self, path: str) -> str:
-        if path not in self._digests:
+        if path not in self._digests_by_path:
             try:
-                self._digests[path] = file_digest(path_of_name(path, self._batch.root))
+                self._digests_by_path[path] = file_digest(
+                    path_of_name(path, self._batch.root)
+                )
             except FormatError:
                 # Building the item reports why it cannot be read.
-                self._digests[path] = "unreadable"
-        return self._digests[path]
+                self._digests_by_path[path] = "unreadable"
+        return self._digests_by_path[path]
 
 
 MAX_FAULTS = 50
 
 
 def check_output_files(batch: Batch) -> None:
-    """Raise an error for outputs that are equal (OUT007), inputs, or unwritable.
+    """Raise an error for outputs that are equal (OUT007), inputs or unwritable.
 
     Names that differ only in case or in the encoding of accents are the same file on
     some disks.
@@ -232,8 +234,10 @@ def _separating_hint(item: Item, other_item: Item, items: Sequence[Item]) -> str
         other_value_by_name = input_values(other_item.file)
         all_input_values = [input_values(batch_item.file) for batch_item in items]
         stems = {values["stem"] for values in all_input_values}
-        paths = {(values["parent"], values["stem"]) for values in all_input_values}
-        if len(stems) < len(items) == len(paths):
+        parents_and_stems = {
+            (values["parent"], values["stem"]) for values in all_input_values
+        }
+        if len(stems) < len(items) == len(parents_and_stems):
             return "use {parent}/{stem} in the output to keep the inputs separate"
         for name in ("stem", "parent", "name"):
             if input_value_by_name[name] != other_value_by_name[name]:

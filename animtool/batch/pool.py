@@ -136,15 +136,15 @@ class _Pool:
 
     def start(self) -> None:
         context = _start_context(self.builder.item_task)
-        connection, worker_end = context.Pipe()
-        arguments = (worker_end, self.builder, self.limits.memory)
+        connection, worker_connection = context.Pipe()
+        arguments = (worker_connection, self.builder, self.limits.memory)
         process = context.Process(target=serve, args=arguments, daemon=True)
         try:
             with _worker_environment():
                 process.start()
         except (OSError, EOFError) as error:
             raise _start_error(str(error) or type(error).__name__) from error
-        worker_end.close()
+        worker_connection.close()
         self.workers.append(_Worker(process, connection))
 
     def send_next_item(self, worker: _Worker) -> None:

@@ -146,7 +146,7 @@ class LineReader:
 
     Attributes:
         length: Length of the complete lines read so far [bytes].
-        number: Number of the last line read, from 1.
+        line_number: Number of the last line read, from 1.
         damaged_lines: Unusable lines by number, with the reason.
     """
 

@@ -142,11 +142,11 @@ class BatchReport:
 
     def notices_of_items(self) -> dict[Fault, list[ItemReport]]:
         """Return each distinct notice with the items that have it."""
-        reports: dict[Fault, list[ItemReport]] = {}
+        reports_by_notice: dict[Fault, list[ItemReport]] = {}
         for report in self.items:
             for notice in report.notices:
-                reports.setdefault(notice, []).append(report)
-        return reports
+                reports_by_notice.setdefault(notice, []).append(report)
+        return reports_by_notice
 
     @property
     def items_with_warnings(self) -> list[ItemReport]:

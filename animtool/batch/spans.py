@@ -73,19 +73,22 @@ def shown_span(shown_clip: ShownClip) -> Span:
     Backwards, a clip plays its range from the last frame to the first.
     """
     trimmed_range = shown_clip.clip.trimmed_range()
-    start = seconds_of(trimmed_range.start_time)
-    length = seconds_of(trimmed_range.duration)
+    trimmed_start = seconds_of(trimmed_range.start_time)
+    trimmed_duration = seconds_of(trimmed_range.duration)
     rate = exact_rate(trimmed_range.start_time.rate)
     speed = playback_speed(shown_clip.clip)
-    visible_begin, visible_end = shown_clip.visible_range or (Fraction(0), length)
-    hidden_before = length - visible_end if speed < 0 else visible_begin
+    visible_begin, visible_end = shown_clip.visible_range or (
+        Fraction(0),
+        trimmed_duration,
+    )
+    hidden_before = trimmed_duration - visible_end if speed < 0 else visible_begin
     return Span(
-        start + hidden_before * abs(speed),
+        trimmed_start + hidden_before * abs(speed),
         (visible_end - visible_begin) / shown_clip.speed,
         speed * shown_clip.speed,
         rate,
         visible_begin <= 0,
-        visible_end >= length,
+        visible_end >= trimmed_duration,
     )
 
 
@@ -266,10 +269,10 @@ def _content_window(
         raise UnsupportedTimeError(f"it {problem}, which only clips can")
     if source_range is None and visible_range is None and speed == 1:
         return None, speed
-    first_time, length = Fraction(0), duration_of(item)
+    first_time, duration = Fraction(0), duration_of(item)
     if source_range is not None:
         first_time = seconds_of(source_range.start_time)
-    visible_begin, visible_end = visible_range or (Fraction(0), length)
+    visible_begin, visible_end = visible_range or (Fraction(0), duration)
     return (first_time + visible_begin * speed, first_time + visible_end * speed), speed
 
 
@@ -291,12 +294,12 @@ def duration_of(item: Any) -> Fraction:
     durations = [duration_of(child) for child in item]
     if not isinstance(item, schema.Track):
         return max(durations, default=Fraction(0))
-    length = sum(durations, Fraction(0))
+    duration = sum(durations, Fraction(0))
     if len(item) and isinstance(item[0], schema.Transition):
-        length += seconds_of(item[0].in_offset)
+        duration += seconds_of(item[0].in_offset)
     if len(item) and isinstance(item[-1], schema.Transition):
-        length += seconds_of(item[-1].out_offset)
-    return length
+        duration += seconds_of(item[-1].out_offset)
+    return duration
 
 
 def _clip_names(item: Any) -> list[str]:

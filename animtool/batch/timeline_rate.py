@@ -75,24 +75,31 @@ def timeline_rate(
     configured_fps = requested_fps or find_config(path).timeline.fps
     if configured_fps is not None:
         return configured_fps, []
-    rates = Counter(video_rates(timeline.tracks))
-    clip_count = sum(rates.values())
+    rate_counts = Counter(video_rates(timeline.tracks))
+    clip_count = sum(rate_counts.values())
     if not clip_count:
         # No clip has a visible range; each clip is reported.
         return Fraction(1), []
-    common_rate, common_count = rates.most_common(1)[0]
-    if len(rates) == 1:
+    common_rate, common_count = rate_counts.most_common(1)[0]
+    if len(rate_counts) == 1:
         return common_rate, []
     count_texts = (
-        f"{count} at {rate_label(rate)}" for rate, count in rates.most_common()
+        f"{count} at {rate_label(rate)}" for rate, count in rate_counts.most_common()
     )
     rate_list = ", ".join(count_texts)
     message = f"states no rate, and its clips and gaps use several: {rate_list}"
     if 2 * common_count <= clip_count:
         raise OptionError(Fault("BAT054", message, path_text, (), COMMON_RATES_HINT))
     message += f"; using {rate_label(common_rate)}"
-    notice = ("BAT049", message, path_text, (), COMMON_RATES_HINT, Severity.WARNING)
-    return common_rate, [Fault(*notice)]
+    fault_arguments = (
+        "BAT049",
+        message,
+        path_text,
+        (),
+        COMMON_RATES_HINT,
+        Severity.WARNING,
+    )
+    return common_rate, [Fault(*fault_arguments)]
 
 
 def _checked_rate(

@@ -82,7 +82,7 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
     columns: dict[str, list[str]] = {}
     faults: list[Fault] = []
     names = [text.partition("=")[0].strip() for text in texts]
-    problems = dict(name_problems(names))
+    problem_by_index = dict(name_problems(names))
     for i, (name, text) in enumerate(zip(names, texts, strict=True)):
         option_text = argument("vary", text)
         suggested_range = _translate_separated_range(text.partition("=")[2])
@@ -91,8 +91,10 @@ def variants_of_texts(texts: Sequence[str]) -> Variants:
         if "=" not in text:
             message = f"{option_text}: the sign = is missing"
             faults.append(Fault("BAT064", message, hint=_assignment_hint(text)))
-        elif i in problems:
-            faults.append(Fault("BAT063", f"{option_text}: {problems[i]}", hint=hint))
+        elif i in problem_by_index:
+            faults.append(
+                Fault("BAT063", f"{option_text}: {problem_by_index[i]}", hint=hint)
+            )
         else:
             try:
                 columns[name] = values_of_text(text.partition("=")[2])
@@ -195,11 +197,15 @@ class BackwardRangeError(ValueError):
         direction = "down" if is_descending else "up"
         super().__init__(f"{first}..{last} counts {direction}, but its step is {step}")
         low, high = (last, first) if is_descending else (first, last)
-        size = step.lstrip("+-")
-        up = f"{low}..{high}" + ("" if Decimal(size) == 1 else f"/{size}")
-        self.hint = f"write {up}, or {high}..{low}/-{size} to count down"
+        step_size = step.lstrip("+-")
+        ascending_range = f"{low}..{high}" + (
+            "" if Decimal(step_size) == 1 else f"/{step_size}"
+        )
+        self.hint = (
+            f"write {ascending_range}, or {high}..{low}/-{step_size} to count down"
+        )
         self.key_hint = (
-            f"write step: {'-' * is_descending}{size}, or exchange start and stop"
+            f"write step: {'-' * is_descending}{step_size}, or exchange start and stop"
         )
 
 
@@ -304,13 +310,13 @@ def read_variants(path: Path) -> Variants:
         message = "has no rows" if lines else "is empty"
         hint = "the first line names the columns; every other line is a variant"
         raise FormatError(Fault("BAT061", message, str(path), (1,), hint))
-    (_, names, columns), *rows = lines
+    (_, names, name_columns), *rows = lines
     separator_hint = None
     if len(names) == 1 and (";" in names[0] or "\t" in names[0]):
         separator_hint = "separate columns by commas, or by tabs in a .tsv file"
     header_location = (str(path), (lines[0][0],), separator_hint)
     faults = [
-        Fault("BAT063", message, *header_location, column=columns[i])
+        Fault("BAT063", message, *header_location, column=name_columns[i])
         for i, message in name_problems(names)
     ]
     if len(rows) > MAX_VARIANTS:

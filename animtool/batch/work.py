@@ -239,11 +239,11 @@ def required_modules(item_task: ItemTask) -> list[str]:
     ['animtool.formats.bvh.read', 'animtool.batch.preload']
     """
     return [
-        *dict.fromkeys([*COMMON_MODULES, *_modules_by_kind(item_task), FREEZE_MODULE])
+        *dict.fromkeys([*COMMON_MODULES, *_modules_of_kinds(item_task), FREEZE_MODULE])
     ]
 
 
-def _modules_by_kind(item_task: ItemTask) -> Iterator[str]:
+def _modules_of_kinds(item_task: ItemTask) -> Iterator[str]:
     has_scenes = any(has_kind_suffix(path, "scene") for path in item_task.example_paths)
     if item_task.scene is not None or has_scenes:
         yield from SCENE_MODULES

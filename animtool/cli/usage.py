@@ -15,7 +15,7 @@ from click.core import ParameterSource
 from animtool.cli.help import ARGUMENTS_KEY, LazyGroup
 from animtool.cli.outputs import is_missing_input
 from animtool.core.errors import Fault
-from animtool.documents.other_words import OTHER_VALUES
+from animtool.documents.other_words import VALUE_ALIASES
 
 # Options of other commands and tools, and ours.
 OTHER_OPTIONS = {
@@ -115,7 +115,7 @@ def with_suggestion(error: click.ClickException) -> click.ClickException:
             flag = param.opts[-1]
             text = f"Option {flag!r} needs a value: {' or '.join(names)}."
             return click.UsageError(text, context)
-        meant_value = OTHER_VALUES.get(choice_match[1].lower())
+        meant_value = VALUE_ALIASES.get(choice_match[1].lower())
         if meant_value not in names:
             meant_value = next(iter(get_close_matches(choice_match[1], names, 1)), None)
         if meant_value is None:

@@ -136,8 +136,8 @@ def _parse_shape(text: str, array_label: str) -> tuple[int, ...]:
     if lengths[-1] == "":
         lengths.pop()
     are_numbers = all(length.isdecimal() and len(length) < 20 for length in lengths)
-    is_number = len(lengths) == 1 and "," not in text
-    if len(lengths) > MAX_DIMENSIONS or is_number or not are_numbers:
+    is_bare_number = len(lengths) == 1 and "," not in text
+    if len(lengths) > MAX_DIMENSIONS or is_bare_number or not are_numbers:
         raise ArrayError(f"{array_label} has a shape that is not that of an array")
     return tuple(map(int, lengths))
 
@@ -210,8 +210,8 @@ class Archive:
         except BaseException:
             self._file.close()
             raise
-        self._headers: dict[str, ArrayHeader] = {}
-        self._sizes: dict[str, int] = {}
+        self._headers_by_key: dict[str, ArrayHeader] = {}
+        self._sizes_by_key: dict[str, int] = {}
         self._total_size = 0
 
     def close(self) -> None:
@@ -225,7 +225,7 @@ class Archive:
 
     def header(self, key: str, kinds: str = "fiub") -> ArrayHeader:
         """Return the header of an array; raise an error if its values are truncated."""
-        if key not in self._headers:
+        if key not in self._headers_by_key:
             info = self._zip_entry(key)
             array_label = f"{self._path.name}#{key}"
             with self._zip.open(info) as file:
@@ -240,8 +240,8 @@ class Archive:
             if header.begin + header.size > info.file_size or is_implausible:
                 message = f"{array_label} is shorter than its shape {header.shape}"
                 raise ArrayError(message)
-            self._headers[key] = header
-        return self._headers[key]
+            self._headers_by_key[key] = header
+        return self._headers_by_key[key]
 
     def values(self, key: str) -> npt.NDArray[Any]:
         """Return the numbers of an array, read-only."""
@@ -312,14 +312,14 @@ class Archive:
 
     def _check_size(self, key: str, info: ZipInfo, size: int) -> None:
         """Raise an error for an array that is larger than the memory limit."""
-        total_size = self._total_size - self._sizes.get(key, 0) + size
+        total_size = self._total_size - self._sizes_by_key.get(key, 0) + size
         max_size = max(SMALL_ARRAY_BYTES, MAX_COMPRESSION_RATIO * info.compress_size)
         is_plausible = size <= max_size
         if total_size > DEFAULT_ARRAY_LIMIT or not is_plausible:
             configured_limit = _configured_limit(self._path)
             if configured_limit is None or total_size > configured_limit:
                 raise self._size_error(key, total_size, configured_limit, is_plausible)
-        self._sizes[key], self._total_size = size, total_size
+        self._sizes_by_key[key], self._total_size = size, total_size
 
     def _size_error(
         self, key: str, size: int, configured_limit: int | None, is_plausible: bool

@@ -31,7 +31,7 @@ class Archives:
     """
 
     def __init__(self) -> None:
-        self._open: dict[Path, Archive] = {}
+        self._open_archives: dict[Path, Archive] = {}
 
     def __enter__(self) -> Archives:
         """Return the cache for use in a ``with`` block."""
@@ -39,8 +39,8 @@ class Archives:
 
     def __exit__(self, *error: object) -> None:
         """Close all archives."""
-        while self._open:
-            self._open.popitem()[1].close()
+        while self._open_archives:
+            self._open_archives.popitem()[1].close()
 
     def header(self, path: Path, key: str) -> ArrayHeader:
         """Return the type and shape of an array without reading its values."""
@@ -89,26 +89,28 @@ class Archives:
         return values
 
     def _archive(self, path: Path) -> Archive:
-        archive = self._open.pop(path, None) or Archive(path)
-        if len(self._open) >= MAX_OPEN_ARCHIVES:
-            self._open.pop(next(iter(self._open))).close()
+        archive = self._open_archives.pop(path, None) or Archive(path)
+        if len(self._open_archives) >= MAX_OPEN_ARCHIVES:
+            self._open_archives.pop(next(iter(self._open_archives))).close()
         # Least recently used first.
-        self._open[path] = archive
+        self._open_archives[path] = archive
         return archive
 
 
 @contextmanager
 def open_arrays(
-    path: Path, describe: Callable[[str], AnimtoolError]
+    path: Path, error_from_message: Callable[[str], AnimtoolError]
 ) -> Iterator[Archives]:
-    """Open a file of arrays; ``describe`` returns the error for a faulty array."""
+    """Open a file of arrays; ``error_from_message`` builds errors of faulty ones."""
     # A missing or unreadable file raises the common error of all files.
     open_input(path, None).close()
     try:
         with Archives() as archives:
             yield archives
     except ValueError as error:
-        raise describe(str(error).removeprefix(path.name).lstrip("# ")) from error
+        raise error_from_message(
+            str(error).removeprefix(path.name).lstrip("# ")
+        ) from error
 
 
 def load_array(path: Path, key: str) -> FloatArray:

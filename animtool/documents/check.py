@@ -82,14 +82,14 @@ def validate_document(document: Document, model: type[Model]) -> Model:
     all other values are checked before `Document.check` raises all faults at once. A
     misspelt key counts as the key that was intended, but its value is not checked.
     """
-    value: Any = document.value
+    content: Any = document.value
     while True:
         try:
-            return model.model_validate(value)
+            return model.model_validate(content)
         except ValidationError as error:
-            if value is document.value:
-                value = copy.deepcopy(value)
-            ModelFaults(document, model, value).replace_faulty(error)
+            if content is document.value:
+                content = copy.deepcopy(content)
+            ModelFaults(document, model, content).replace_faulty(error)
 
 
 def validate_file(document: Document, kind: str, model: type[Model]) -> Model:
@@ -111,22 +111,24 @@ def unknown_option_faults(
 
 
 def record_from_options(
-    kind: type[Record], options: Mapping[str, Any], owner: str
+    record_type: type[Record], options: Mapping[str, Any], owner: str
 ) -> tuple[Record | None, LocatedFaults]:
     """Return options as a record (None if a value is invalid), and their faults."""
-    names = [field.name for field in fields(kind)]  # type: ignore[arg-type]
-    faults = unknown_option_faults(options, names, owner)
-    known_options = {key: value for key, value in options.items() if key in names}
+    option_names = [field.name for field in fields(record_type)]  # type: ignore[arg-type]
+    faults = unknown_option_faults(options, option_names, owner)
+    known_options = {
+        key: value for key, value in options.items() if key in option_names
+    }
     key_by_name = {name: name for name in known_options}
     for (key, *_), _fault in faults:
         # A misspelt key is not missing too.
-        intended_key = intended_key_hint(str(key), names)[1]
+        intended_key = intended_key_hint(str(key), option_names)[1]
         if intended_key is not None and intended_key not in known_options:
             known_options[intended_key] = options[str(key)]
             key_by_name[intended_key] = str(key)
     while True:
         try:
-            return TypeAdapter(kind).validate_python(known_options), faults
+            return TypeAdapter(record_type).validate_python(known_options), faults
         except ValidationError as error:
             choices = intended_choices(known_options, error)
             if not choices:

@@ -70,7 +70,7 @@ class Document:
     )
 
     def position(self, location: Location) -> tuple[int, int]:
-        """Return the line and column of a value, or of its nearest written ancestor."""
+        """Return the line and column of a value, or of its nearest written parent."""
         return self._cached_marks().positions[self._node_index(location)]
 
     def key_position(self, location: Location) -> tuple[int, int]:
@@ -386,14 +386,14 @@ def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:
 
     The merged fault has the location of the first entry and the lines of all.
     """
-    groups: dict[tuple[object, ...], list[Fault]] = {}
+    faults_by_group: dict[tuple[object, ...], list[Fault]] = {}
     for i, fault in enumerate(faults):
         location_pattern = _INDEX_STEP.sub("[]", fault.where or "")
         is_entry_key = fault.code == "DOC020" and location_pattern != fault.where
         group_key = (fault.message, fault.hint, location_pattern if is_entry_key else i)
-        groups.setdefault(group_key, []).append(fault)
+        faults_by_group.setdefault(group_key, []).append(fault)
     merged_faults = []
-    for first, *others in groups.values():
+    for first, *others in faults_by_group.values():
         if len(others) < MIN_MERGED_ENTRIES - 1:
             merged_faults += [first, *others]
             continue

@@ -134,7 +134,7 @@ class _SourceText:
         return cls(text, root, is_json, "\r\n" if "\r\n" in text else "\n")
 
     def splice_of(self, edit: Edit) -> TextSplice:
-        """Return the range of the text that an edit replaces, and its new text."""
+        """Return the text range that an edit replaces, and the replacement."""
         match edit:
             case Replace(location, value):
                 return self._replacement_splice(self._node_at(location), value)
@@ -185,53 +185,53 @@ class _SourceText:
         if node.flow_style:
             return end, end, f", {entry}"
         indent = " " * node.value[0][0].start_mark.column
-        next_line = self._line_after(end)
-        if self.text[next_line - 1] == "\n":
-            return next_line, next_line, f"{indent}{entry}{self.newline}"
-        return next_line, next_line, f"{self.newline}{indent}{entry}"
+        next_line_start = self._next_line_start(end)
+        if self.text[next_line_start - 1] == "\n":
+            return next_line_start, next_line_start, f"{indent}{entry}{self.newline}"
+        return next_line_start, next_line_start, f"{self.newline}{indent}{entry}"
 
     def _removal_splice(self, node: Any, key_or_index: str | int) -> TextSplice:
-        entry_bounds = list(_entry_bounds(node))
+        entry_node_pairs = list(_entry_node_pairs(node))
         index = key_or_index
         if isinstance(index, str):
-            index = [name.value for name, _ in entry_bounds].index(index)
-        first_node, last_node = entry_bounds[index]
+            index = [name.value for name, _ in entry_node_pairs].index(index)
+        first_node, last_node = entry_node_pairs[index]
         start, end = first_node.start_mark.index, _value_end(last_node)
         if node.flow_style:
-            if index + 1 < len(entry_bounds):
-                next_start = entry_bounds[index + 1][0].start_mark.index
+            if index + 1 < len(entry_node_pairs):
+                next_start = entry_node_pairs[index + 1][0].start_mark.index
                 end = self._start_after_comma(end, next_start)
             elif index:
-                start = _value_end(entry_bounds[index - 1][1])
+                start = _value_end(entry_node_pairs[index - 1][1])
                 self._start_after_comma(start, first_node.start_mark.index)
             return start, end, ""
-        line = self.text.rfind("\n", 0, start) + 1
-        if self.text[line:start].strip() not in {"", "-"}:
+        line_start = self.text.rfind("\n", 0, start) + 1
+        if self.text[line_start:start].strip() not in {"", "-"}:
             raise EditError("its line contains something else")
-        return line, self._line_after(end), ""
+        return line_start, self._next_line_start(end), ""
 
-    def _line_after(self, end: int) -> int:
-        """Return the start of the next line, skipping a comment after a value."""
+    def _next_line_start(self, end: int) -> int:
+        """Return the offset of the next line, skipping a comment after a value."""
         if end and self.text[end - 1] == "\n":
             return end
         newline = self.text.find("\n", end)
         return len(self.text) if newline < 0 else newline + 1
 
     def _start_after_comma(self, value_end: int, next_start: int) -> int:
-        """Return where the next entry starts; refuse a comment between the two."""
+        """Return the offset of the next entry; refuse a comment between the two."""
         if self.text[value_end:next_start].strip() != ",":
             raise EditError("a comment separates it from the next")
         return next_start
 
 
-def _entry_bounds(node: Any) -> Iterator[tuple[Any, Any]]:
+def _entry_node_pairs(node: Any) -> Iterator[tuple[Any, Any]]:
     """Yield the first and the last node of each entry."""
     for entry in node.value:
         yield entry if isinstance(entry, tuple) else (entry, entry)
 
 
 def _value_end(node: Any) -> int:
-    """Return the end of a value; a block collection ends where its last value ends."""
+    """Return the end offset of a value; a block collection ends with its last value."""
     while not isinstance(node, yaml.ScalarNode) and not node.flow_style:
         last_entry = node.value[-1]
         node = last_entry[1] if isinstance(last_entry, tuple) else last_entry

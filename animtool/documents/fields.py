@@ -148,8 +148,12 @@ _FILE_TYPES: dict[OptionKind, Any] = {
     "lengths": dict[str, str],
     "count": Annotated[Integer, Ge(1)] | None,
 }
-_DEFAULTS: dict[OptionKind, Any] = {"switch": False, "offsets": [], "lengths": {}}
-Ranges: TypeAlias = Literal["record", "model", "schema"]
+_DEFAULT_BY_KIND: dict[OptionKind, Any] = {
+    "switch": False,
+    "offsets": [],
+    "lengths": {},
+}
+RangeCheck: TypeAlias = Literal["record", "model", "schema"]
 
 
 def with_fields(
@@ -158,7 +162,7 @@ def with_fields(
     file_kind: FileKind | None = None,
     order: Sequence[str] = (),
     before_key: str = "",
-    ranges: Ranges = "record",
+    range_check: RangeCheck = "record",
 ) -> Callable[[type[Model]], type[Model]]:
     """Return a decorator that adds the fields of a record to a model as keys.
 
@@ -172,8 +176,8 @@ def with_fields(
         file_kind: Kind of file whose names of the record's options are used.
         order: Order of keys; others come last. Empty keeps the record's order.
         before_key: Key to insert them before; empty appends them.
-        ranges: Where the `Range` of a field is checked: by the reader of the file on
-            the record or on the model, or by the model's schema.
+        range_check: Where the `Range` of a field is checked: by the reader of the
+            file on the record or on the model, or by the model's schema.
     """
 
     def decorate(model: type[Model]) -> type[Model]:
@@ -189,7 +193,9 @@ def with_fields(
         for name in names or keys:
             key = keys[name].alias or name
             if names or key not in model.model_fields:
-                type_, default = _type_and_default(record, name, keys[name], ranges)
+                type_, default = _type_and_default(
+                    record, name, keys[name], range_check
+                )
                 new_fields[key] = type_, model_field(keys[name], default)
         field_definitions = [*entries[:index], *new_fields.items(), *entries[index:]]
         ranks = {key: rank for rank, key in enumerate(order)}
@@ -214,15 +220,15 @@ RecordT = TypeVar("RecordT")
 def record_from_model(
     record: type[RecordT], model: FileModel, **extra_arguments: Any
 ) -> RecordT:
-    """Return a record from the equally named fields of a model and extra arguments."""
-    kind, arguments = cast(Any, record), extra_arguments
-    keys = keys_of(kind)
-    for entry in fields(kind):
-        name = entry.name
+    """Return a record built from a model's equally named fields and extra arguments."""
+    record_type, arguments = cast(Any, record), extra_arguments
+    keys = keys_of(record_type)
+    for record_field in fields(record_type):
+        name = record_field.name
         if name in extra_arguments or name not in type(model).model_fields:
             continue
         value = getattr(model, name)
-        if value is None and _is_infinite(entry.default):
+        if value is None and _is_infinite(record_field.default):
             continue
         convert = keys[name].read if name in keys else None
         arguments[name] = value if convert is None else convert(value)
@@ -234,14 +240,14 @@ def _is_infinite(default: Any) -> bool:
 
 
 def _type_and_default(
-    record: Any, name: str, key: Key, ranges: Ranges
+    record: Any, name: str, key: Key, range_check: RangeCheck
 ) -> tuple[Any, Any]:
-    """Return the type and the default of the key that a field of a record gets."""
+    """Return the type and default of the file key for a record's field."""
     option = options_of(record).get(name)
     if option is not None:
         kind = option.kind
         type_ = Literal[key.choices] | None if kind == "choice" else _FILE_TYPES[kind]
-        return type_, _DEFAULTS.get(kind)
+        return type_, _DEFAULT_BY_KIND.get(kind)
     annotation = get_type_hints(record, include_extras=True)[name]
     type_, *constraints = (
         get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
@@ -254,9 +260,9 @@ def _type_and_default(
         default = []
     for constraint in constraints:
         is_range = isinstance(constraint, Range)
-        if is_range and ranges == "schema":
+        if is_range and range_check == "schema":
             minimum_type = Ge if constraint.includes_minimum else Gt
             type_ = Annotated[type_, minimum_type(constraint.minimum)]
-        elif isinstance(constraint, Le) or (is_range and ranges == "model"):
+        elif isinstance(constraint, Le) or (is_range and range_check == "model"):
             type_ = Annotated[type_, constraint]
     return type_, default

@@ -34,7 +34,7 @@ class IgnoreEntries:
         return cls(document, [0] * len(_ignore_entries(document)))
 
     def hide(self, faults: list[Fault]) -> list[Fault]:
-        """Return the findings that no entry matches; count those of the others."""
+        """Return the findings that no entry matches; count the matches of entries."""
         return [fault for fault in faults if not self._match_entries(fault)]
 
     def entry_faults(self) -> Iterator[Fault]:
@@ -55,7 +55,7 @@ class IgnoreEntries:
                 yield replace(fault, severity=Severity.WARNING)
 
     def _match_entries(self, fault: Fault) -> bool:
-        """Return whether an entry matches a finding; count the match of each."""
+        """Return whether any entry matches a finding; count every match."""
         if fault.path != str(self.document.path):
             return False
         locations = self._location_variants(fault.where or "")
@@ -72,15 +72,17 @@ class IgnoreEntries:
         return is_hidden
 
     def _location_variants(self, where: str) -> list[str]:
-        """Return a location as text twice: list entries by number, and by name."""
+        """Return a location in two forms: list entries by number, and by name."""
         node: Any = self.document.value
         text = ""
         for key, index in _STEP_PATTERN.findall(where):
             if index.isdigit() and isinstance(node, list) and int(index) < len(node):
                 node = node[int(index)]
                 name_keys = _NAME_KEYS if isinstance(node, dict) else ()
-                names = [node[name_key] for name_key in name_keys if name_key in node]
-                text += f"[{names[0] if names else index}]"
+                entry_names = [
+                    node[name_key] for name_key in name_keys if name_key in node
+                ]
+                text += f"[{entry_names[0] if entry_names else index}]"
             else:
                 text += f".{key}" if key else f"[{index}]"
                 node = node.get(key) if isinstance(node, dict) else None

@@ -31,11 +31,11 @@ def plain_json(text: str, max_depth: int, max_key_length: int) -> Any:
         return None
 
     def checked_mapping(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-        values = dict(pairs)
-        max_length = max(map(len, values), default=0)
-        if len(values) != len(pairs) or max_length > max_key_length:
+        mapping = dict(pairs)
+        max_length = max(map(len, mapping), default=0)
+        if len(mapping) != len(pairs) or max_length > max_key_length:
             raise ValueError
-        return values
+        return mapping
 
     try:
         value = json.loads(

@@ -218,7 +218,7 @@ def _plan_migrations(
 def _with_value_faults(plan: Migration) -> Migration:
     """Return a migration with the faults of its new text as warnings.
 
-    They are those of keys and values, which a migration does not change.
+    Only faults of keys and values are added; a migration does not fix them.
     """
     document = parse_document(plan.new_text, plan.path)
     if plan.kind == "scene":

@@ -15,7 +15,7 @@ from animtool.documents.document import Document, Location, location_text
 from animtool.documents.other_words import (
     AXES,
     COMMAND_KEYS,
-    OTHER_KEYS,
+    KEY_ALIASES,
     intended_options,
 )
 from animtool.documents.placeholders import (
@@ -39,10 +39,10 @@ from animtool.documents.value_faults import (
 )
 from animtool.documents.value_hints import (
     MAX_EXAMPLE_LENGTH,
-    entry_names,
     example_hint,
     key_named_by,
     missing_key_hint,
+    named_options_annotation,
     named_options_hint,
     paired_entries,
     syntax_hint,
@@ -71,7 +71,7 @@ LocatedFaults = list[tuple[Location, Fault]]  # faults with their locations in a
 
 
 def _entry_example(models: list[type[BaseModel]], key: str, value: Any) -> str | None:
-    """Return an entry with a key and the required ones; None if it has no one form."""
+    """Return an example entry with a key and the required keys; None if ambiguous."""
     if len(models) > 1 or isinstance(value, dict | list):
         return None
     fields = fields_of(models[0])
@@ -102,18 +102,20 @@ def faults_of_value(value: Any, error: ValidationError) -> LocatedFaults:
 
 def intended_choices(value: Any, error: ValidationError) -> list[tuple[Location, str]]:
     """Return the corrected form of each value that is wrong only in its case."""
-    groups = _group_by_location(value, error)
-    choices = [(key[0], intended_choice(faults)) for key, faults in groups.items()]
+    faults_by_key = _group_by_location(value, error)
+    choices = [
+        (key[0], intended_choice(faults)) for key, faults in faults_by_key.items()
+    ]
     return [(location, choice) for location, choice in choices if choice is not None]
 
 
 def intended_key_hint(key: str, names: Collection[str]) -> tuple[str, str | None]:
     """Return a hint for an unknown key, and the key that was likely meant."""
     normalized_key = key.replace("_", "").lower()
-    for equivalent_key in OTHER_KEYS.get(normalized_key, ()):
+    for equivalent_key in KEY_ALIASES.get(normalized_key, ()):
         if equivalent_key in names:
             return f"the key is {equivalent_key!r}", equivalent_key
-    if normalized_key in OTHER_KEYS:  # a word of its own, not a misspelling
+    if normalized_key in KEY_ALIASES:  # a word of its own, not a misspelling
         return f"allowed: {', '.join(sort_by_similarity(key, names))}", None
     return name_hint(key, names), most_similar(key, names)
 
@@ -129,7 +131,7 @@ def warn_renamed_key(document: Document, location: Location, name: str) -> None:
 
 @dataclass(slots=True)
 class ModelFaults:
-    """Records the faults in a value, and puts placeholders in their places."""
+    """Records the faults of a document's values, and replaces these by placeholders."""
 
     document: Document  # where faults are recorded
     model: type[BaseModel]  # model of the value
@@ -177,7 +179,7 @@ class ModelFaults:
     def _record_unknown_key(self, location: Location) -> None:
         *steps, key = location
         parent = tuple(steps)
-        names = fields_at(self.model, self.value, parent)
+        allowed_keys = fields_at(self.model, self.value, parent)
         mapping = value_at(self.value, parent)
         if self._record_vector_mapping(parent):
             return
@@ -186,7 +188,7 @@ class ModelFaults:
         value = mapping.pop(key)
         kind = next((name for name in FILE_KINDS if name in self.value), "")
         new_name = renamed_key(kind, location, value)
-        if new_name in names and new_name not in mapping:
+        if new_name in allowed_keys and new_name not in mapping:
             mapping[new_name] = value
             warn_renamed_key(self.document, location, new_name)
             return
@@ -196,7 +198,7 @@ class ModelFaults:
             self._record_bad_dash(location, mapping)
             return
         message = f"unknown key {excerpt(str(key))}"
-        hint, meant_key = intended_key_hint(str(key), names)
+        hint, meant_key = intended_key_hint(str(key), allowed_keys)
         owning_key = key_named_by(self.model, self.value, parent, str(key))
         if owning_key is not None and owning_key not in mapping:
             meant_key, value = owning_key, {key: value}
@@ -219,7 +221,7 @@ class ModelFaults:
             self.document.guessed_keys.add((*parent, meant_key))
 
     def _with_entry_form(self, hint: str, location: Location, key: Any) -> str:
-        """Return a hint with the entry of a list that an unknown key names, if any."""
+        """Return a hint with the list entry that an unknown key names, if any."""
         field_match = field_at(self.model, self.value, location)
         example = (field_match[1].examples or [None])[0] if field_match else None
         entries = example if isinstance(example, list) else []
@@ -298,13 +300,13 @@ class ModelFaults:
         if not is_beyond_general_limit(faults):
             return None
         depths = range(len(location))
-        names = {
+        accepted_keys = {
             name
             for depth in depths
             for name in fields_at(self.model, self.value, location[:depth])
         }
         hint = "write it in a larger unit"
-        if "gravity_constant" in names:
+        if "gravity_constant" in accepted_keys:
             hint = "use larger units of mass, length and time throughout, and write "
             hint += "gravity_constant in these"
         return hint
@@ -312,19 +314,21 @@ class ModelFaults:
     def _record_unrecognised_entry(self, parent: Location) -> bool:
         """Record a single fault if a list entry has no known key."""
         mapping = value_at(self.value, parent)
-        names = fields_at(self.model, self.value, parent)
-        unknown_keys = [key for key in mapping if key not in names]
+        allowed_keys = fields_at(self.model, self.value, parent)
+        unknown_keys = [key for key in mapping if key not in allowed_keys]
         if len(unknown_keys) < len(mapping) or len(unknown_keys) < MIN_UNKNOWN_KEYS:
             return False
         models = models_of(annotation_at(self.model, self.value, parent), mapping)
         is_pair = bool(paired_entries(models, mapping))
         if is_pair or any(
-            intended_key_hint(str(key), names)[1] for key in unknown_keys
+            intended_key_hint(str(key), allowed_keys)[1] for key in unknown_keys
         ):
             return False
         names_text = listed([excerpt(str(key)) for key in unknown_keys])
         message = f"no known key in {names_text}"
-        self.document.add("DOC020", parent, message, f"allowed: {', '.join(names)}")
+        self.document.add(
+            "DOC020", parent, message, f"allowed: {', '.join(allowed_keys)}"
+        )
         self._insert_placeholder(parent)
         return True
 
@@ -369,19 +373,21 @@ class ModelFaults:
 
     def _record_missing_dash(self, location: Location) -> bool:
         """Record a fault if an item of a list holds several names of items."""
-        names = entry_names(annotation_at(self.model, self.value, location))
+        annotation = named_options_annotation(
+            annotation_at(self.model, self.value, location)
+        )
         entry = value_at(self.value, location)
-        if names is None or not _is_list_entry(location) or len(entry) < 2:
+        if annotation is None or not _is_list_entry(location) or len(entry) < 2:
             return False
-        known_names = names.find_names()
+        known_names = annotation.find_names()
         if not all(
             name in known_names and (options is None or isinstance(options, dict))
             for name, options in entry.items()
         ):
             return False
         first, second, *_ = entry
-        message = f"{second!r} is another {names.noun} in the item of {first!r}"
-        hint = f"each {names.noun} needs its own dash: "
+        message = f"{second!r} is another {annotation.noun} in the item of {first!r}"
+        hint = f"each {annotation.noun} needs its own dash: "
         items = [{name: options or {}} for name, options in entry.items()]
         text = flow_text(str(location[-2]), items)
         hint += (
@@ -525,7 +531,7 @@ class ModelFaults:
         return None
 
     def _depends_on_unknown_kind(self, location: Location) -> bool:
-        """Return whether a key exists only in some kinds and the kind is unknown."""
+        """Return whether a key belongs to some kinds only, and the kind is unknown."""
         for depth, key in enumerate(location):
             parent = location[:depth]
             unknown_locations = self.document.placeholders | self.document.guessed_keys
@@ -551,12 +557,12 @@ def _group_by_location(
     value: Any, error: ValidationError
 ) -> dict[tuple[Location, str], list[Any]]:
     """Group the first faults of a failed validation by location and missing key."""
-    groups: dict[tuple[Location, str], list[Any]] = {}
+    faults_by_key: dict[tuple[Location, str], list[Any]] = {}
     for fault in error.errors(include_url=False)[:MAX_REPLACED_VALUES]:
         missing_key = str(fault["loc"][-1]) if fault["type"] == "missing" else ""
         key = _fault_location(value, fault), missing_key
-        groups.setdefault(key, []).append(fault)
-    return groups
+        faults_by_key.setdefault(key, []).append(fault)
+    return faults_by_key
 
 
 def _is_list_entry(location: Location) -> bool:

@@ -10,8 +10,8 @@ AXES = {
     for axis, name in enumerate("XYZ")
     for sign in ("", "-")
 }
-# Values by the names that other tools use for them.
-OTHER_VALUES = {
+# Our values by the names that other tools use for them.
+VALUE_ALIASES = {
     "hinge": "pin",
     "revolute": "pin",
     "rotational": "pin",
@@ -56,8 +56,8 @@ OTHER_VALUES = {
     "y-up": "Y",
     "z-up": "Z",
 }
-# More values by other names, for keys that do not have the value in `OTHER_VALUES`.
-FALLBACK_VALUES = {
+# Further aliases, for keys that do not allow the value in `VALUE_ALIASES`.
+FALLBACK_VALUE_ALIASES = {
     "smooth": "bezier",
     "auto": "auto_clamped",
     "euler": "symplectic_euler",
@@ -65,7 +65,7 @@ FALLBACK_VALUES = {
     "implicit": "implicit_euler",
 }
 # Keys by the names that other tools use for them, in lower case without underscores.
-OTHER_KEYS = {
+KEY_ALIASES = {
     "rotateorder": ("euler", "channels"),
     "rotationorder": ("euler", "channels"),
     "framerate": ("fps",),

@@ -8,7 +8,7 @@ from typing import Any
 
 from animtool.core.errors import counted, excerpt
 from animtool.core.names import most_similar
-from animtool.documents.other_words import FALLBACK_VALUES, OTHER_VALUES
+from animtool.documents.other_words import FALLBACK_VALUE_ALIASES, VALUE_ALIASES
 from animtool.documents.yaml_values import (
     flow_value,
     plain_scalar,
@@ -49,7 +49,7 @@ _EXPECTED_NOUNS = {
 }
 
 
-# Faults of values of the right type: other members of a union were not intended.
+# Faults of values of the right type; the author did not mean another union member.
 _LENGTH_FAULTS = {"too_short", "too_long"}
 _RIGHT_TYPE_FAULTS = (_LENGTH_FAULTS, _BOUND_FAULTS.keys())
 # Types of containers.
@@ -260,7 +260,10 @@ def _choice_hint(faults: Sequence[Any]) -> str | None:
             if matching_name is not None:
                 return f"write {matching_name}"
             word = value.lower().replace("_", "")
-            for replacement in (OTHER_VALUES.get(word), FALLBACK_VALUES.get(word)):
+            for replacement in (
+                VALUE_ALIASES.get(word),
+                FALLBACK_VALUE_ALIASES.get(word),
+            ):
                 if replacement in names:
                     return f"{value!r} is called {replacement!r} here"
             similar_name = most_similar(value, names)

@@ -32,14 +32,14 @@ _RANGE_LENGTH, _VECTOR_LENGTH = 2, 3
 
 
 @dataclass(frozen=True, slots=True)
-class EntryExamples:
-    """Annotation of a mapping with one entry: examples of the options of each name."""
+class OptionExamplesAnnotation:
+    """Annotation of a mapping of one name to its options: example options by name."""
 
     options: Mapping[str, Any] = field(hash=False)
 
 
 @dataclass(frozen=True, slots=True)
-class EntryNames:
+class NamedOptionsAnnotation:
     """Annotation of a list of names with options below them, such as passes."""
 
     noun: str  # noun for one item in messages, such as "pass"
@@ -248,9 +248,9 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
     if isinstance(value, str):
         return _parse_list(value.strip(), example)
     if isinstance(value, dict):
-        bounds = [value.get(key) for key in _RANGE_END_NAMES if key in value]
-        is_range = len(bounds) == _RANGE_LENGTH
-        values = bounds if is_range else vector_components(value) or []
+        range_ends = [value.get(key) for key in _RANGE_END_NAMES if key in value]
+        is_range = len(range_ends) == _RANGE_LENGTH
+        values = range_ends if is_range else vector_components(value) or []
         return values if len(values) == len(value) == len(example) else None
     if isinstance(value, int | float) and not isinstance(value, bool):
         # A magnitude along the only axis of the example: gravity of 9.81 points down.
@@ -264,7 +264,7 @@ def _converted_value(value: Any, example: Any) -> list[Any] | None:
 
 
 def _named_group(names: Any, example: Any) -> list[Any] | None:
-    """Return names as the only list of an example's entry; None if it has none.
+    """Return names in the form of an example's entry; None if it lists no names.
 
     The list is empty if not all of ``names`` are texts.
     """
@@ -292,8 +292,8 @@ def _nested_list(value: list[Any], example: Sequence[Any]) -> list[Any] | None:
     return value[:_RANGE_LENGTH] if is_range and value[0] < value[1] else None
 
 
-def _are_numbers(values: Sequence[Any]) -> bool:
-    return all(isinstance(value, int | float) for value in values)
+def _are_numbers(entries: Sequence[Any]) -> bool:
+    return all(isinstance(value, int | float) for value in entries)
 
 
 def _parse_list(text: str, example: Sequence[Any]) -> list[Any] | None:
@@ -318,10 +318,10 @@ def _example_contains(example: Any, value: Any) -> bool:
     return bool(example == value)
 
 
-def _entry_examples(annotation: Any) -> EntryExamples | None:
+def _entry_examples(annotation: Any) -> OptionExamplesAnnotation | None:
     """Return the `EntryExamples` that annotate a type or a member of a union."""
     for constraint in getattr(annotation, "__metadata__", ()):
-        if isinstance(constraint, EntryExamples):
+        if isinstance(constraint, OptionExamplesAnnotation):
             return constraint
     members = map(_entry_examples, get_args(annotation))
     return next((examples for examples in members if examples is not None), None)
@@ -335,7 +335,7 @@ def _takes_file(annotation: Any) -> bool:
     return get_origin(annotation) is list and _takes_file(get_args(annotation)[0])
 
 
-def entry_names(annotation: Any) -> EntryNames | None:
+def named_options_annotation(annotation: Any) -> NamedOptionsAnnotation | None:
     """Return the `EntryNames` of a type; None if it has none."""
     constraints = getattr(annotation, "__metadata__", ())
-    return next((c for c in constraints if isinstance(c, EntryNames)), None)
+    return next((c for c in constraints if isinstance(c, NamedOptionsAnnotation)), None)

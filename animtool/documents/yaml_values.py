@@ -338,7 +338,7 @@ class _OpenCollection:
 
     value: Any  # content so far
     key: str | None = None  # of a mapping, the key whose value is next
-    keys: dict[str, int] = field(default_factory=dict)  # line of each key
+    key_lines: dict[str, int] = field(default_factory=dict)  # line of each key
     is_flow: bool = False  # whether it is in flow style
     timed_key: str | None = None  # the key whose list over time it should be
     # In the value of that key: numbers used as mapping keys, and their positions.
@@ -391,13 +391,13 @@ class _OpenCollection:
         elif "\n" in value or "\t" in value:
             message = f"key {excerpt(value)} contains a line end or a tab"
             reader.add_fault("DOC023", message, position, "remove it")
-        elif value in self.keys:
+        elif value in self.key_lines:
             message = f"duplicate key {excerpt(value)}"
-            hint = f"the first is on line {self.keys[value]}"
-            if self.keys[value] == 1 and value in FILE_KINDS:
+            hint = f"the first is on line {self.key_lines[value]}"
+            if self.key_lines[value] == 1 and value in FILE_KINDS:
                 hint += ", and states what the file is"
             reader.add_fault("DOC004", message, position, hint)
-        self.keys.setdefault(value, position[0])
+        self.key_lines.setdefault(value, position[0])
         self.key = value
         if self.text_pieces:
             self.text_pieces.append(unquoted)
@@ -422,14 +422,14 @@ class _OpenCollection:
         if not self.time_keys:
             return
         key = self.timed_key
-        values = [
+        timed_values = [
             (time, self.value[f"\0{position}"]) for time, position in self.time_keys
         ]
-        entries: list[Any] = timed_rows(values)
+        entries: list[Any] = timed_rows(timed_values)
         if key == TIMED_KEY:
             entries = [
                 {"t": time} | (value if isinstance(value, dict) else {"v": value})
-                for time, value in values
+                for time, value in timed_values
             ]
         time, position = self.time_keys[0]
         message = f"a key is {time!r}, not text: {key} must be a list"
@@ -481,7 +481,7 @@ def timed_list_hint(key: object, entries: list[Any]) -> str:
     return hint[:MAX_HINT_LENGTH]
 
 
-def timed_rows(values: Iterable[tuple[float, Any]]) -> list[list[Any]]:
+def timed_rows(timed_values: Iterable[tuple[float, Any]]) -> list[list[Any]]:
     """Return rows of times and their values, which may be lists.
 
     >>> timed_rows([(1, 0), (12, [2, 3])])
@@ -489,7 +489,7 @@ def timed_rows(values: Iterable[tuple[float, Any]]) -> list[list[Any]]:
     """
     return [
         [time, *value] if isinstance(value, list) else [time, value]
-        for time, value in values
+        for time, value in timed_values
     ]
 
 

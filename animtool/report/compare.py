@@ -49,7 +49,7 @@ class ShapeDifference:
 
 
 def compare_weights(
-    first: Take, second: Take, count: int
+    first: Take, second: Take, frame_count: int
 ) -> tuple[ShapeDifference, int, list[str]]:
     """Compare the shape weights of two takes of equal rate; match shapes by name.
 
@@ -59,27 +59,30 @@ def compare_weights(
     Returns the largest difference, the number of shapes compared, and the mismatches.
     """
     first_weights, second_weights = (_dense_weights(take) for take in (first, second))
-    names = [[shape.name for shape in take.rig.shapes] for take in (first, second)]
-    pairs = _shape_pairs(*names)
+    shape_names = [
+        [shape.name for shape in take.rig.shapes] for take in (first, second)
+    ]
+    pairs = _shape_pairs(*shape_names)
     unmatched_names = []
     for side, weights in enumerate((first_weights, second_weights)):
         matched_shapes = {pair[side] for pair in pairs}
         moving_shapes = np.flatnonzero(weights.any(axis=0)).tolist()
         unmatched_shapes = [
-            names[side][s] for s in moving_shapes if s not in matched_shapes
+            shape_names[side][s] for s in moving_shapes if s not in matched_shapes
         ]
         unmatched_names.append(unmatched_shapes)
     mismatches = unmatched_texts("shape", *unmatched_names)
     first_columns, second_columns = [s for s, _ in pairs], [s for _, s in pairs]
     difference = np.abs(
-        first_weights[:count, first_columns] - second_weights[:count, second_columns]
+        first_weights[:frame_count, first_columns]
+        - second_weights[:frame_count, second_columns]
     )
     if not difference.size:
         return ShapeDifference(), 0, mismatches
     frame, pair_index = np.unravel_index(np.argmax(difference), difference.shape)
     largest_difference = ShapeDifference(
         float(difference[frame, pair_index]),
-        names[0][first_columns[int(pair_index)]],
+        shape_names[0][first_columns[int(pair_index)]],
         float(first.clock.times[frame]),
     )
     return largest_difference, len(pairs), mismatches
@@ -88,14 +91,14 @@ def compare_weights(
 def unmatched_texts(
     noun: str, only_first: Sequence[str], only_second: Sequence[str]
 ) -> list[str]:
-    """Return texts that list the names which only one of two files or takes has."""
-    texts = []
+    """Return texts that list the names found in only one of two files or takes."""
+    messages = []
     for names, other_label in ((only_first, "second"), (only_second, "first")):
         if names:
             verb = "is" if len(names) == 1 else "are"
             count = counted(len(names), noun)
-            texts.append(f"{count} {verb} not in the {other_label}: {listed(names)}")
-    return texts
+            messages.append(f"{count} {verb} not in the {other_label}: {listed(names)}")
+    return messages
 
 
 def _dense_weights(take: Take) -> FloatArray:
@@ -127,7 +130,7 @@ SCALE_TOLERANCE = 1e-3
 # A take is part of a longer one if its joints are within this fraction of its size, and
 # of the difference of the first frames [1].
 FIT_FRACTION = 0.01
-# Fewer frames may fit by chance; of the longer take, as many frames are tried.
+# Fewer frames may fit by chance. At most so many frames of the longer take are tried.
 MIN_FITTED_FRAMES, MAX_TRIED_OFFSETS = 3, 8
 
 
@@ -268,8 +271,11 @@ def _skeleton_pairs(
     """
     pairs: list[tuple[str, str]] = []
     unmatched_first, unmatched_second = list(first), list(second)
-    keys: tuple[Callable[[str], str], ...] = (str, lambda path: path.split("/", 2)[-1])
-    for key in keys:
+    key_functions: tuple[Callable[[str], str], ...] = (
+        str,
+        lambda path: path.split("/", 2)[-1],
+    )
+    for key in key_functions:
         path_by_key = {key(path): path for path in reversed(unmatched_second)}
         for path in list(unmatched_first):
             match = path_by_key.pop(key(path), None)
@@ -281,33 +287,41 @@ def _skeleton_pairs(
 
 
 def _add_difference(
-    total: TakeDifference, other: TakeDifference, skeleton: str
+    total: TakeDifference, skeleton_difference: TakeDifference, skeleton_path: str
 ) -> TakeDifference:
-    """Add another skeleton's difference to the total: largest values, summed counts."""
+    """Return the total with a skeleton's difference: largest values, summed counts."""
     larger_differences = {}
     for quantity in ("world", "translation", "rotation", "scale", "weight"):
-        difference = getattr(other, quantity)
+        difference = getattr(skeleton_difference, quantity)
         if difference.value > getattr(total, quantity).value:
-            larger_differences[quantity] = replace(difference, skeleton=skeleton)
-    new_notices = [notice for notice in other.notices if notice not in total.notices]
+            larger_differences[quantity] = replace(difference, skeleton=skeleton_path)
+    new_notices = [
+        notice for notice in skeleton_difference.notices if notice not in total.notices
+    ]
     return replace(
         total,
         **larger_differences,
-        frames=max(total.frames, other.frames),
-        size=max(total.size, other.size),
-        joints=total.joints + other.joints,
-        shapes=total.shapes + other.shapes,
-        mismatches=total.mismatches + [f"{skeleton}: {m}" for m in other.mismatches],
-        notes=total.notes + [f"{skeleton}: {note}" for note in other.notes],
+        frames=max(total.frames, skeleton_difference.frames),
+        size=max(total.size, skeleton_difference.size),
+        joints=total.joints + skeleton_difference.joints,
+        shapes=total.shapes + skeleton_difference.shapes,
+        mismatches=total.mismatches
+        + [f"{skeleton_path}: {m}" for m in skeleton_difference.mismatches],
+        notes=total.notes
+        + [f"{skeleton_path}: {note}" for note in skeleton_difference.notes],
         notices=total.notices + new_notices,
     )
 
 
-def space_notes(ups: tuple[UpAxis, UpAxis], units: tuple[float, float]) -> list[str]:
+def space_notes(
+    up_axes: tuple[UpAxis, UpAxis], units: tuple[float, float]
+) -> list[str]:
     """Return a note if up axes or units [m] of two files differ."""
     notes = []
-    if ups[0] is not ups[1]:
-        notes.append(f"{ups[0]} up instead of {ups[1]} up; compared with {ups[0]} up")
+    if up_axes[0] is not up_axes[1]:
+        notes.append(
+            f"{up_axes[0]} up instead of {up_axes[1]} up; compared with {up_axes[0]} up"
+        )
     if not math.isclose(*units, rel_tol=1e-6):
         first, second = map(unit_name, units)
         notes.append(f"lengths in {first} instead of {second}; compared in metres")
@@ -326,26 +340,28 @@ def compare_takes(first: Take, second: Take) -> TakeDifference:
 
     weight, shape_count, missing_shapes = compare_weights(first, second, frame_count)
 
-    def find_largest(values: FloatArray) -> Difference:
-        if not values.size:
+    def find_largest(differences: FloatArray) -> Difference:
+        if not differences.size:
             return Difference()
-        frame, joint = np.unravel_index(np.argmax(values), values.shape)
-        name = first.rig.names[first_joints[int(joint)]]
-        return Difference(float(values[frame, joint]), name, float(time_codes[frame]))
+        frame, pair_index = np.unravel_index(np.argmax(differences), differences.shape)
+        name = first.rig.names[first_joints[int(pair_index)]]
+        return Difference(
+            float(differences[frame, pair_index]), name, float(time_codes[frame])
+        )
 
-    first_values, second_values = (
+    first_channels, second_channels = (
         take.motion.select(slice(0, frame_count)).dense() for take in (first, second)
     )
-    first_world = forward_kinematics(first.rig, *first_values).positions
-    second_world = forward_kinematics(second.rig, *second_values).positions
+    first_world = forward_kinematics(first.rig, *first_channels).positions
+    second_world = forward_kinematics(second.rig, *second_channels).positions
     position_offsets = first_world[:, first_joints] - second_world[:, second_joints]
     translation_offsets = (
-        first_values[0][:, first_joints] - second_values[0][:, second_joints]
+        first_channels[0][:, first_joints] - second_channels[0][:, second_joints]
     )
     rotation_angles = so3.angle_between(
-        first_values[1][:, first_joints], second_values[1][:, second_joints]
+        first_channels[1][:, first_joints], second_channels[1][:, second_joints]
     )
-    first_scales, second_scales = map(_dense_scales, (first_values, second_values))
+    first_scales, second_scales = map(_dense_scales, (first_channels, second_channels))
     scale_differences = first_scales[:, first_joints] - second_scales[:, second_joints]
     return TakeDifference(
         find_largest(np.linalg.norm(position_offsets, axis=-1)),
@@ -401,7 +417,7 @@ def _joint_pairs(first: Rig, second: Rig) -> list[tuple[int, int]]:
 
 
 def _mismatches(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
-    """Return texts on joints without a match, and on different lengths and rates."""
+    """Return texts that describe unmatched joints, and unequal lengths and rates."""
     matched_joints = dict(pairs), {joint for _, joint in pairs}
     unmatched_names = [
         [name for i, name in enumerate(take.rig.names) if i not in matched]
@@ -427,7 +443,7 @@ def _range_text(clock: Clock) -> str:
 
 
 def _fit_note(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[str]:
-    """Return a note if the shorter take has the motion of later frames of the longer.
+    """Return a note if the shorter take matches later frames of the longer one.
 
     Of the frames of the longer take, those nearest to the first frame of the shorter
     are tried.
@@ -436,34 +452,40 @@ def _fit_note(first: Take, second: Take, pairs: list[tuple[int, int]]) -> list[s
         return []
     is_first_longer = first.clock.count > second.clock.count
     longer, shorter = (first, second) if is_first_longer else (second, first)
-    joints = [[pair[side] for pair in pairs] for side in (0, 1)]
-    longer_joints, shorter_joints = joints if is_first_longer else joints[::-1]
+    joints_by_take = [[pair[side] for pair in pairs] for side in (0, 1)]
+    longer_joints, shorter_joints = (
+        joints_by_take if is_first_longer else joints_by_take[::-1]
+    )
     long_positions = _world_positions(longer)[:, longer_joints]
     short_positions = _world_positions(shorter)[:, shorter_joints]
-    count = len(short_positions)
-    offset_count = len(long_positions) - count + 1
-    if count < MIN_FITTED_FRAMES or offset_count < 2:
+    short_count = len(short_positions)
+    offset_count = len(long_positions) - short_count + 1
+    if short_count < MIN_FITTED_FRAMES or offset_count < 2:
         return []
 
     def largest_distance(offset: int) -> float:
-        offsets = long_positions[offset : offset + count] - short_positions
+        offsets = long_positions[offset : offset + short_count] - short_positions
         return float(np.linalg.norm(offsets, axis=-1).max())
 
-    starts = long_positions[:offset_count] - short_positions[0]
-    start_distances = np.linalg.norm(starts, axis=-1).max(axis=1)
+    start_offsets = long_positions[:offset_count] - short_positions[0]
+    start_distances = np.linalg.norm(start_offsets, axis=-1).max(axis=1)
     nearest_offsets = np.argsort(start_distances, kind="stable")[:MAX_TRIED_OFFSETS]
     distances = {int(i): largest_distance(int(i)) for i in nearest_offsets}
     best_offset = min(distances, key=lambda offset: distances[offset])
     size = _largest_extent(short_positions)
-    limit = min(FIT_FRACTION * size, FIT_FRACTION * largest_distance(0))
-    if best_offset == 0 or distances[best_offset] > limit:
+    max_distance = min(FIT_FRACTION * size, FIT_FRACTION * largest_distance(0))
+    if best_offset == 0 or distances[best_offset] > max_distance:
         return []
-    codes = longer.clock.times
-    first_code, last_code = codes[best_offset], codes[best_offset + count - 1]
-    names = ("second", "first") if is_first_longer else ("first", "second")
+    time_codes = longer.clock.times
+    first_code, last_code = (
+        time_codes[best_offset],
+        time_codes[best_offset + short_count - 1],
+    )
+    take_labels = ("second", "first") if is_first_longer else ("first", "second")
     frames = f"{frame_label(first_code)}-{frame_label(last_code)}"
-    note = f"the {names[0]} fits frames {frames} of the {names[1]}; to compare these, "
-    return [f"{note}use {argument('frame_range', frames)} on the {names[1]}"]
+    note = f"the {take_labels[0]} fits frames {frames} of the {take_labels[1]}; "
+    setting = f"{argument('frame_range', frames)} on the {take_labels[1]}"
+    return [f"{note}to compare these, use {setting}"]
 
 
 def _world_positions(take: Take) -> FloatArray:

@@ -89,7 +89,9 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
         [name for name in source_b.names if name not in source_a.names],
     )
     common_names = [name for name in source_a.names if name in source_b.names]
-    largest = dict.fromkeys(("points", "orientations", "scales"), PointDifference())
+    largest_differences = dict.fromkeys(
+        ("points", "orientations", "scales"), PointDifference()
+    )
     sample_count, max_size = 0, 0.0
     for name in common_names:
         time_codes = source_a.codes(name), source_b.codes(name)
@@ -110,15 +112,23 @@ def compare_points(first: Path, second: Path) -> PointsDifference | None:
                 break
             for quantity, (values, ids) in _distances(*samples).items():
                 worst_index = int(np.argmax(values)) if len(values) else 0
-                if len(values) and values[worst_index] > largest[quantity].value:
-                    worst, point = (float(values[worst_index]), int(ids[worst_index]))
-                    largest[quantity] = PointDifference(worst, name, point, code)
+                if (
+                    len(values)
+                    and values[worst_index] > largest_differences[quantity].value
+                ):
+                    worst_difference, point = (
+                        float(values[worst_index]),
+                        int(ids[worst_index]),
+                    )
+                    largest_differences[quantity] = PointDifference(
+                        worst_difference, name, point, code
+                    )
     if source_a.fps != source_b.fps:
         rates_text = f"{source_a.fps} time codes per second instead of {source_b.fps}"
         mismatches.append(rates_text)
     return PointsDifference(
         "points",
-        **largest,
+        **largest_differences,
         prims=len(common_names),
         samples=sample_count,
         mismatches=mismatches,
@@ -220,17 +230,21 @@ def _distances(
         )
         distances["orientations"] = np.degrees(angles), ids
     if first.scales is not None and second.scales is not None:
-        sizes = np.abs(first.scales[first_indices] - second.scales[second_indices])
-        distances["scales"] = sizes.max(axis=1, initial=0.0), ids
+        scale_differences = np.abs(
+            first.scales[first_indices] - second.scales[second_indices]
+        )
+        distances["scales"] = scale_differences.max(axis=1, initial=0.0), ids
     return distances
 
 
 def _start_notes(
-    source_a: PointSource, source_b: PointSource, names: list[str]
+    source_a: PointSource, source_b: PointSource, prim_names: list[str]
 ) -> list[str]:
     """Return a note if the samples of any prim start at different time codes."""
-    starts = [(source_a.codes(name)[:1], source_b.codes(name)[:1]) for name in names]
-    for first_start, second_start in starts:
+    first_code_pairs = [
+        (source_a.codes(name)[:1], source_b.codes(name)[:1]) for name in prim_names
+    ]
+    for first_start, second_start in first_code_pairs:
         if first_start and second_start and first_start != second_start:
             codes_text = f"{first_start[0]:g} instead of {second_start[0]:g}"
             return [f"first time code {codes_text}; compared from there"]

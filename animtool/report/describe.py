@@ -113,7 +113,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
     take_names = stream.details.get("takes")
     moving_shapes = [] if motion.weights is None else motion.weights.animated.tolist()
     bounds = np.min(block_minima, axis=0), np.max(block_maxima, axis=0)
-    points, shot, characters = _describe_stage(Path(path), options)
+    point_prims, shot, characters = _describe_stage(Path(path), options)
     return TakeDescription(
         str(path),
         str(stream.details.get("format", "")),
@@ -134,7 +134,7 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
         rig.up.value,
         take_names if isinstance(take_names, list) else [],
         str(stream.details.get("take", "")),
-        points,
+        point_prims,
         stream.notices,
         shot,
         capture,
@@ -145,14 +145,16 @@ def describe(path: Path | str, options: SourceOptions | None = None) -> TakeDesc
 
 
 def _open_take(path: Path | str, options: SourceOptions | None) -> TakeStream:
-    """Open a take; drop a placement that joints cannot represent."""
+    """Open a take, without its placement if joints cannot represent it."""
     try:
         return open_checked(Path(path), options)
     except FormatError as error:
         if all(fault.code != "USD035" for fault in error.faults):
             raise
-        dropped_placement = replace(options or SourceOptions(), placement="drop")
-        return open_checked(Path(path), dropped_placement)
+        options_without_placement = replace(
+            options or SourceOptions(), placement="drop"
+        )
+        return open_checked(Path(path), options_without_placement)
 
 
 def _find_cycle(take: Take) -> Cycle | None:
@@ -181,9 +183,9 @@ def _describe_stage(
     from animtool.usd.caches.info import animated_point_prims
     from animtool.usd.layers.sdf import layer_shot, open_layer
 
-    points, shot = animated_point_prims(path), layer_shot(open_layer(path))
+    point_prims, shot = animated_point_prims(path), layer_shot(open_layer(path))
     is_selected = options is not None and (options.prim_path or options.take)
-    return points, shot, None if is_selected else describe_characters(path)
+    return point_prims, shot, None if is_selected else describe_characters(path)
 
 
 def _describe_contents(path: Path) -> GltfContents | None:

@@ -18,7 +18,7 @@ from animtool.retarget.roled_skeleton import RoledSkeleton
 
 @dataclass(frozen=True, slots=True)
 class Extreme:
-    """Largest or smallest value, with the character and the frame that have it."""
+    """A largest or smallest value, with the character and frame at which it occurs."""
 
     value: float
     character: str  # path of its Skeleton
@@ -100,20 +100,24 @@ def _summarize(name: str, take: Take) -> _CharacterSummary:
     """Measure a character's bounds and, if it has legs, its hips' speed and height."""
     roles = RoledSkeleton.of(take.rig, find_anatomy(take.rig).roles)
     hips, positions = joint_positions(take, roles, range(len(take.rig.joints)))
-    points = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
-    bounds_low, bounds_high = points.min(axis=0).tolist(), points.max(axis=0).tolist()
+    all_positions = np.stack(list(positions.values()), axis=1).reshape(-1, 3)
+    bounds_low, bounds_high = (
+        all_positions.min(axis=0).tolist(),
+        all_positions.max(axis=0).tolist(),
+    )
     if roles.leg("l") is None or roles.leg("r") is None or len(hips) < 2:
         return _CharacterSummary(bounds_low, bounds_high)
-    up, times = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
+    up_index, time_codes = 1 if take.rig.up is UpAxis.Y else 2, take.clock.times
     speeds = ground_speeds(take, hips)
-    heights = hips[:, up]
-    steps = np.abs(np.diff(heights))
+    heights = hips[:, up_index]
+    vertical_steps = np.abs(np.diff(heights))
 
     def extreme_at(value: float, frame: int) -> Extreme:
-        return Extreme(value, name, float(times[frame]))
+        return Extreme(value, name, float(time_codes[frame]))
 
     fastest_step, lowest_frame, largest_step = (
-        int(index) for index in (speeds.argmax(), heights.argmin(), steps.argmax())
+        int(index)
+        for index in (speeds.argmax(), heights.argmin(), vertical_steps.argmax())
     )
     return _CharacterSummary(
         bounds_low,
@@ -121,5 +125,5 @@ def _summarize(name: str, take: Take) -> _CharacterSummary:
         float(speeds.mean()),
         extreme_at(float(speeds[fastest_step]), fastest_step + 1),
         extreme_at(float(heights[lowest_frame]), lowest_frame),
-        extreme_at(float(steps[largest_step]), largest_step + 1),
+        extreme_at(float(vertical_steps[largest_step]), largest_step + 1),
     )

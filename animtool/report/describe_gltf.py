@@ -65,10 +65,10 @@ def describe_nodeless_gltf(path: Path) -> GltfDescription | None:
 
 
 def _describe_gltf(gltf: Gltf) -> GltfContents:
-    names = unique_clip_names(gltf.animations)
+    clip_names = unique_clip_names(gltf.animations)
     clips = [
         GltfClip(name, *animation.span, len(animation.tracks))
-        for name, animation in zip(names, gltf.animations, strict=True)
+        for name, animation in zip(clip_names, gltf.animations, strict=True)
     ]
     bones = {bone: gltf.nodes[node].name or "" for bone, node in humanoid_bones(gltf)}
     return _collect_contents(gltf, clips, len(gltf.scenes), bones)

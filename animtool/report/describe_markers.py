@@ -56,10 +56,13 @@ def describe_markers(path: Path, markers: Markers) -> MarkersDescription:
     gap_starts = np.argwhere(gap_edges.T == 1)[:, 1]
     gap_ends = np.argwhere(gap_edges.T == -1)[:, 1]
     longest_gap = int((gap_ends - gap_starts).max(initial=0))
-    points = markers.positions[is_visible]
+    visible_positions = markers.positions[is_visible]
     bounds = None
-    if len(points):
-        bounds = (points.min(axis=0).tolist(), points.max(axis=0).tolist())
+    if len(visible_positions):
+        bounds = (
+            visible_positions.min(axis=0).tolist(),
+            visible_positions.max(axis=0).tolist(),
+        )
     clock = markers.clock
     return MarkersDescription(
         str(path),

@@ -154,10 +154,12 @@ def describe_targets(path: Path) -> TargetsDescription:
     """
     tracks = load_targets(path)
     clock = tracks.clock
-    kinds = [tuple(kind.name for kind in track.goal.kinds) for track in tracks.goals]
+    kind_names_by_goal = [
+        tuple(kind.name for kind in track.goal.kinds) for track in tracks.goals
+    ]
     goals = tuple(
-        GoalDescription(track.name, names, track.spans)
-        for track, names in zip(tracks.goals, kinds, strict=True)
+        GoalDescription(track.name, kind_names, track.spans)
+        for track, kind_names in zip(tracks.goals, kind_names_by_goal, strict=True)
     )
     return TargetsDescription(
         path,

@@ -197,17 +197,17 @@ class _Renderer:
     def cells(self, scope: _Scope, table: Table) -> tuple[list[list[str]], set[int]]:
         """Return the rows of a table, header first, and which columns align left."""
         templates = [_parse_template(cell) for cell in table.columns.values()]
-        cells = [
+        cell_texts = [
             [self.fill_template((entry, *scope), cell) or "" for cell in templates]
             for entry in self._field_entries(scope, table.name)
         ]
         shown_columns = {
             header: i
             for i, header in enumerate(table.columns)
-            if header not in table.optional or any(row[i] for row in cells)
+            if header not in table.optional or any(row[i] for row in cell_texts)
         }
         rows = [[header.strip() for header in shown_columns]]
-        rows += [[row[i] for i in shown_columns.values()] for row in cells]
+        rows += [[row[i] for i in shown_columns.values()] for row in cell_texts]
         return rows, {i for i, name in enumerate(shown_columns) if name in table.left}
 
     def fill_template(self, scope: _Scope, nodes: tuple[_Node, ...]) -> str | None:
@@ -231,24 +231,28 @@ class _Renderer:
         value = _find_value(scope, node.name)
         if node.test:
             return "" if bool(value) is (node.test == "?") else None
-        width = ""
+        alignment_spec = ""
         for spec in node.spec.split(" | "):
             if value is None or (hasattr(value, "__len__") and not len(value)):
                 return None
             printer_name, *arguments = spec.split(" ")
             if printer_name not in self.printers:
                 return format(value, spec)
-            width = arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
+            alignment_spec = (
+                arguments.pop() if arguments and arguments[-1][0] in "<>" else ""
+            )
             value = self.printers[printer_name](value, *arguments)
-        return format(value, width) or None
+        return format(value, alignment_spec) or None
 
 
-def aligned_lines(rows: Sequence[Sequence[str]], left: Collection[int]) -> list[str]:
-    """Align rows of cells as lines; the columns in ``left`` are left-aligned."""
+def aligned_lines(
+    rows: Sequence[Sequence[str]], left_columns: Collection[int]
+) -> list[str]:
+    """Align rows of cells as lines; columns in ``left_columns`` are left-aligned."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     return [
         "  ".join(
-            cell.ljust(width) if i in left else cell.rjust(width)
+            cell.ljust(width) if i in left_columns else cell.rjust(width)
             for i, (cell, width) in enumerate(zip(row, widths, strict=True))
         ).rstrip()
         for row in rows

@@ -123,8 +123,8 @@ def _advice_text(table: TrialTable) -> str:
 
 
 def _cost(row: TrialRow, measure: CostMeasure) -> float:
-    value: float = getattr(row, measure.value)
-    return value
+    cost: float = getattr(row, measure.value)
+    return cost
 
 
 def _figure_printer(name: str, scale: float) -> Callable[[TrialRow], str]:

@@ -38,59 +38,69 @@ def _try_step(run: IntegrationRun, target: float) -> Status:
     step_function = run.integrator.step
     assert step_function is not None
     run.equations.set_anchor(run.time, run.state)
-    trial = _initial_step(run) if run.trial is None else run.trial
+    trial_step = _initial_step(run) if run.trial is None else run.trial
     if run.options.step is not None:
-        trial = min(trial, run.options.step)
-    if _is_too_small(trial, run, target):
-        reason = f"the tolerance needs a step of {plain_number(trial)} s"
+        trial_step = min(trial_step, run.options.step)
+    if _is_too_small(trial_step, run, target):
+        reason = f"the tolerance needs a step of {plain_number(trial_step)} s"
         return run.stop(Status.STEP_TOO_SMALL, reason)
-    h, t = _fit_to_target(trial, run.time, target)
-    step = step_function(run.equations, run.time, run.state, h, run.memory)
-    ratio = math.nan if step is None else _error_ratio(step, run.state, run.options)
-    if step is None or not ratio <= 1:
+    h, t = _fit_to_target(trial_step, run.time, target)
+    step_result = step_function(run.equations, run.time, run.state, h, run.memory)
+    error_ratio = (
+        math.nan
+        if step_result is None
+        else _error_ratio(step_result, run.state, run.options)
+    )
+    if step_result is None or not error_ratio <= 1:
         run.rejected_count += 1
-        factor = FAILED_STEP_FACTOR if math.isnan(ratio) else _step_factor(ratio, run)
+        factor = (
+            FAILED_STEP_FACTOR
+            if math.isnan(error_ratio)
+            else _step_factor(error_ratio, run)
+        )
         run.trial = h * factor
         return run.budget_status()
     # A step shortened to end at the target says little about the next one.
-    next_step = h * _step_factor(ratio, run)
-    run.trial = next_step if h == trial else max(next_step, trial)
-    return run.accept(step, t, h)
+    next_step = h * _step_factor(error_ratio, run)
+    run.trial = next_step if h == trial_step else max(next_step, trial_step)
+    return run.accept(step_result, t, h)
 
 
-def _fit_to_target(trial: float, time: float, target: float) -> tuple[float, float]:
+def _fit_to_target(
+    trial_step: float, time: float, target: float
+) -> tuple[float, float]:
     """Return the size and end time of a step, sized to avoid a tiny last step."""
     remaining_time = target - time
-    if trial >= remaining_time:
+    if trial_step >= remaining_time:
         return remaining_time, target
-    h = remaining_time / 2 if trial > remaining_time / 2 else trial
+    h = remaining_time / 2 if trial_step > remaining_time / 2 else trial_step
     return h, time + h
 
 
-def _is_too_small(trial: float, run: IntegrationRun, target: float) -> bool:
+def _is_too_small(trial_step: float, run: IntegrationRun, target: float) -> bool:
     """Return whether a trial step that ends before the target is below the floor."""
-    if trial >= target - run.time:
+    if trial_step >= target - run.time:
         return False
-    return trial < run.options.floor or run.time + trial == run.time
+    return trial_step < run.options.floor or run.time + trial_step == run.time
 
 
-def _step_factor(ratio: float, run: IntegrationRun) -> float:
+def _step_factor(error_ratio: float, run: IntegrationRun) -> float:
     """Return the factor for the next step size from the error-to-tolerance ratio."""
-    if ratio == 0:
+    if error_ratio == 0:
         return MAX_STEP_FACTOR
-    factor = SAFETY_FACTOR * math.pow(ratio, -1 / run.integrator.error_order)
+    factor = SAFETY_FACTOR * math.pow(error_ratio, -1 / run.integrator.error_order)
     return min(MAX_STEP_FACTOR, max(MIN_STEP_FACTOR, factor))
 
 
 def _error_ratio(
-    step: StepResult, start: FloatArray, options: IntegrateOptions
+    step_result: StepResult, start_state: FloatArray, options: IntegrateOptions
 ) -> float:
     """Return the largest error-to-tolerance ratio; NaN if the state is not finite."""
-    assert step.error is not None
-    magnitude = np.maximum(np.abs(start), np.abs(step.state))
+    assert step_result.error is not None
+    magnitude = np.maximum(np.abs(start_state), np.abs(step_result.state))
     tolerances = options.atol + options.rtol * magnitude
     # If tolerance and state are 0, an error of 0 is accepted.
-    ratios = np.abs(step.error) / np.maximum(tolerances, 1e-300)
+    ratios = np.abs(step_result.error) / np.maximum(tolerances, 1e-300)
     return float(ratios.max(initial=0.0)) if np.isfinite(ratios).all() else math.nan
 
 
@@ -110,10 +120,10 @@ def _initial_step(run: IntegrationRun) -> float:
         small_step = 0.01 * state_norm / rate_norm
     next_rate = equations.rate(run.time + small_step, y + small_step * rate)
     largest_rate = max(rate_norm, norm(next_rate - rate) / small_step)
-    power = 1 / run.integrator.error_order
+    exponent = 1 / run.integrator.error_order
     if largest_rate <= 1e-15:
-        estimate = max(1e-6, small_step * 1e-3)
+        estimated_step = max(1e-6, small_step * 1e-3)
     else:
-        estimate = (0.01 / largest_rate) ** power
-    step = min(100 * small_step, estimate)
+        estimated_step = (0.01 / largest_rate) ** exponent
+    step = min(100 * small_step, estimated_step)
     return step if math.isfinite(step) and step > 0 else small_step

@@ -43,21 +43,21 @@ def step_warnings(
     step, modes = options.step, equations.system.frequencies(float(times[0]), state)
     if step is None or integrator.control is not StepControl.FIXED:
         return []
-    spans = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
-    max_step = max((step_grid(*span, step).h for span in spans), default=0.0)
+    intervals = [(start, end) for start, end in pairwise(times.tolist()) if end > start]
+    max_step = max((step_grid(*span, step).h for span in intervals), default=0.0)
     notices = []
     duration = float(times[-1] - times[0])
-    if step > max(duration, MIN_SUSPECT_STEP) > 0 and len(spans) > 1:
+    if step > max(duration, MIN_SUSPECT_STEP) > 0 and len(intervals) > 1:
         message = f"a step of {plain_number(step)} s is longer than the whole run of "
         message += f"{plain_number(duration)} s; steps of {plain_number(max_step)} s "
         message += "are taken"
         notices.append(warning("SIM109", message, step_hint(step)))
-    limit = None if modes is None else allowed_step(integrator, modes)
-    if limit is None or max_step <= limit:
+    stable_step = None if modes is None else allowed_step(integrator, modes)
+    if stable_step is None or max_step <= stable_step:
         return notices
     message = f"{integrator.name} is not stable with steps of {plain_number(max_step)} "
     message += "s"
-    return [*notices, warning("SIM101", message, _stable_step_advice(limit))]
+    return [*notices, warning("SIM101", message, _stable_step_advice(stable_step))]
 
 
 def stop_warning(
@@ -129,9 +129,9 @@ class EnergyWatch:
             return ""
         released_potential = start.potential - current.potential
         self._energy_scale = max(self._energy_scale, current.supply, released_potential)
-        limit = self._options.growth * self._energy_scale
+        max_energy_gain = self._options.growth * self._energy_scale
         energy_gain = current.total - start.total
-        if self._energy_scale > 0 and not energy_gain <= limit:
+        if self._energy_scale > 0 and not energy_gain <= max_energy_gain:
             return f"its energy rose from {start.total:.3g} J to {current.total:.3g} J"
         return ""
 
@@ -139,9 +139,9 @@ class EnergyWatch:
         """Return why the strain of springs indicates divergence; empty if not."""
         if np.isinf(self._options.stretch):
             return ""
-        ratio = self._system.stretch(t, state)
-        if ratio is not None and not ratio <= self._options.stretch:
-            return f"a spring is {plain_number(ratio)} times its rest length"
+        length_ratio = self._system.stretch(t, state)
+        if length_ratio is not None and not length_ratio <= self._options.stretch:
+            return f"a spring is {plain_number(length_ratio)} times its rest length"
         return ""
 
 
@@ -154,9 +154,11 @@ def times_problem(times: FloatArray) -> tuple[str, str | None]:
     return f"times must be a list with at least one time, not of shape {shape}", None
 
 
-def check_times(values: ArrayLike, checkpoint: Checkpoint | None) -> FloatArray:
+def check_times(
+    requested_times: ArrayLike, checkpoint: Checkpoint | None
+) -> FloatArray:
     """Return sample times as an array; raise if they are not finite and ascending."""
-    times = np.asarray(values, np.float64)
+    times = np.asarray(requested_times, np.float64)
     message, hint = "", None
     if times.ndim != 1 or not len(times):
         message, hint = times_problem(times)
@@ -207,12 +209,14 @@ def check_supported(equations: Equations, integrator: Integrator) -> None:
 
 def check_start(equations: Equations, t: float, state: FloatArray) -> None:
     """Raise if the initial state is missing or invalid."""
-    faults = _state_faults(equations, state) or _rate_faults(equations, t, state)
-    if faults:
-        raise OptionError([Fault("SIM003", fault, where="state") for fault in faults])
+    problems = _state_problems(equations, state) or _rate_problems(equations, t, state)
+    if problems:
+        raise OptionError(
+            [Fault("SIM003", problem, where="state") for problem in problems]
+        )
 
 
-def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
+def _state_problems(equations: Equations, state: FloatArray) -> list[str]:
     """Return messages about an initial state of the wrong shape or invalid values."""
     if equations.second_order is not None:
         if state.ndim != 3 or state.shape[0] != 2:
@@ -224,7 +228,7 @@ def _state_faults(equations: Equations, state: FloatArray) -> list[str]:
     return _non_finite_messages("component", state)
 
 
-def _rate_faults(equations: Equations, t: float, state: FloatArray) -> list[str]:
+def _rate_problems(equations: Equations, t: float, state: FloatArray) -> list[str]:
     """Return messages about an initial rate of the wrong shape or invalid values."""
     if equations.second_order is not None:
         rate, expected_shape = equations.acceleration(t, *state), state.shape[1:]

@@ -108,14 +108,16 @@ def _flat_jacobian(run: IntegrationRun) -> Callable[[float, FloatArray], Matrix]
         return _block_jacobian(*matrices)
 
     if equations.second_order is None:
-        sample = equations.jacobian(run.time, run.state)
+        sample_jacobian = equations.jacobian(run.time, run.state)
         jacobian = rate_jacobian
     else:
         jacobian_pair = equations.jacobians(run.time, *run.state)
-        sample = None if jacobian_pair is None else jacobian_pair[0]
+        sample_jacobian = None if jacobian_pair is None else jacobian_pair[0]
         jacobian = acceleration_jacobian
     needs_dense = run.integrator.solver in DENSE_JACOBIAN_SOLVERS
-    if sample is None or (needs_dense and not isinstance(sample, np.ndarray)):
+    if sample_jacobian is None or (
+        needs_dense and not isinstance(sample_jacobian, np.ndarray)
+    ):
         return None
     return jacobian
 

@@ -27,8 +27,8 @@ def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
     """
     oscillating_modes = modes[modes[:, 0] > 0].tolist()
     steps = [
-        integrator.largest_step(omega, max(0.0, damping))
-        for omega, damping in oscillating_modes
+        integrator.largest_step(omega, max(0.0, damping_ratio))
+        for omega, damping_ratio in oscillating_modes
     ]
     limits = [step for step in steps if step is not None]
     if len(limits) < len(steps):
@@ -60,8 +60,8 @@ def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | 
     # Finite differences have rounding errors relative to the largest value.
     is_relevant = magnitudes > 1e-6 * magnitudes.max(initial=0.0)
     is_relevant &= eigenvalues.real <= 1e-6 * magnitudes
-    damping = -eigenvalues.real / np.where(magnitudes > 0, magnitudes, 1.0)
-    damping = np.maximum(damping, 0.0)
-    damping = np.where(damping < 1e-6, 0.0, damping)
-    modes: FloatArray = np.stack([magnitudes, damping], axis=1)[is_relevant]
+    damping_ratios = -eigenvalues.real / np.where(magnitudes > 0, magnitudes, 1.0)
+    damping_ratios = np.maximum(damping_ratios, 0.0)
+    damping_ratios = np.where(damping_ratios < 1e-6, 0.0, damping_ratios)
+    modes: FloatArray = np.stack([magnitudes, damping_ratios], axis=1)[is_relevant]
     return modes

@@ -49,10 +49,10 @@ def _solve_first_order(
         difference: FloatArray = base + scale * equations.rate(t, y) - y
         return difference.ravel()
 
-    def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
+    def matrix(unknowns: FloatArray, residuals: FloatArray) -> Matrix:
         jacobian = equations.jacobian(t, unknowns.reshape(shape))
         if jacobian is None:
-            return -finite_differences(residual, unknowns, value)
+            return -finite_differences(residual, unknowns, residuals)
         return _identity_minus(jacobian * scale)
 
     solution = _find_root(residual, matrix, guess.ravel(), 0.0)
@@ -74,10 +74,10 @@ def _solve_second_order(
         difference: FloatArray = base[1] + scale * equations.acceleration(t, x, v) - v
         return difference.ravel()
 
-    def matrix(unknowns: FloatArray, value: FloatArray) -> Matrix:
+    def matrix(unknowns: FloatArray, residuals: FloatArray) -> Matrix:
         jacobians = equations.jacobians(t, *full_state(unknowns))
         if jacobians is None:
-            return -finite_differences(residual, unknowns, value)
+            return -finite_differences(residual, unknowns, residuals)
         da_dx, da_dv = jacobians
         return _identity_minus(da_dv * scale + da_dx * (scale * scale))
 
@@ -87,29 +87,29 @@ def _solve_second_order(
 
 
 def finite_differences(
-    function: Residual, point: FloatArray, value: FloatArray
+    function: Residual, point: FloatArray, function_value: FloatArray
 ) -> FloatArray:
     """Return the Jacobian ``(n, n)`` of a function by finite differences."""
-    scale = max(float(np.abs(point).max(initial=0.0)), 1e-3)
-    columns = np.zeros((len(value), len(point)))
+    min_scale = max(float(np.abs(point).max(initial=0.0)), 1e-3)
+    jacobian = np.zeros((len(function_value), len(point)))
     for i in range(len(point)):
         shifted_point = point.copy()
-        shifted_point[i] += DIFFERENCE_STEP * max(abs(float(point[i])), scale)
-        columns[:, i] = (function(shifted_point) - value) / (
+        shifted_point[i] += DIFFERENCE_STEP * max(abs(float(point[i])), min_scale)
+        jacobian[:, i] = (function(shifted_point) - function_value) / (
             shifted_point[i] - point[i]
         )
-    return columns
+    return jacobian
 
 
 def _find_root(
     residual: Residual,
     matrix: Callable[[FloatArray, FloatArray], Matrix],
     start: FloatArray,
-    min_size: float,
+    min_magnitude: float,
 ) -> FloatArray | None:
     """Return the root ``(n,)`` of a residual; ``matrix`` is its negative Jacobian.
 
-    ``min_size`` is the magnitude below which unknowns count as 0.
+    ``min_magnitude`` is the magnitude below which unknowns count as 0.
     """
     point, residuals = start, residual(start)
     for _ in range(MAX_CORRECTIONS):
@@ -119,7 +119,7 @@ def _find_root(
         point, residuals = _line_search(residual, point, residuals, correction)
         if not np.isfinite(residuals).all():
             return None
-        max_magnitude = max(float(np.abs(point).max(initial=0.0)), min_size)
+        max_magnitude = max(float(np.abs(point).max(initial=0.0)), min_magnitude)
         tolerance = CONVERGED_CORRECTION * max_magnitude + 1e-300
         if float(np.abs(correction).max(initial=0.0)) <= tolerance:
             return point

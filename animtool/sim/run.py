@@ -110,7 +110,7 @@ class StepGrid:
     first_index: int | None
 
     def time(self, i: int) -> float:
-        """Return the start time of step i [s]; i may be the count."""
+        """Return the start time of step i [s]; i = count gives the end time."""
         if self.first_index is not None:
             return (self.first_index + i) * self.h
         return self.end if i == self.count else self.start + i * self.h
@@ -133,8 +133,10 @@ def step_grid(start: float, end: float, step: float) -> StepGrid:
     # Rounding error of times that are multiples of the step.
     rounding = math.ulp(max(abs(first_multiple), abs(last_multiple)))
     tolerance = GRID_TOLERANCE + 4 * rounding
-    offset = max(abs(first_multiple - first_index), abs(last_multiple - last_index))
-    is_on_grid = offset <= tolerance < 0.5
+    largest_offset = max(
+        abs(first_multiple - first_index), abs(last_multiple - last_index)
+    )
+    is_on_grid = largest_offset <= tolerance < 0.5
     if is_on_grid and last_index > first_index:
         return StepGrid(start, end, last_index - first_index, step, first_index)
     count = max(1, math.ceil((end - start) / step * (1 - 1e-12)))
@@ -145,11 +147,11 @@ def advance_evenly(run: IntegrationRun, target: float) -> Status:
     """Integrate to ``target`` [s] in equal steps."""
     assert run.options.step is not None
     grid = step_grid(run.time, target, run.options.step)
-    native = run.equations.system.native(run.integrator.name)
-    if native is None:
+    native_advance = run.equations.system.native(run.integrator.name)
+    if native_advance is None:
         status = _advance_by_steps(run, grid)
     else:
-        status = _advance_by_blocks(run, grid, native)
+        status = _advance_by_blocks(run, grid, native_advance)
     # Up to rounding, the last step ends at the requested time.
     run.time = target if status is Status.OK else run.time
     return status
@@ -172,13 +174,13 @@ def _advance_by_steps(run: IntegrationRun, grid: StepGrid) -> Status:
 
 
 def _advance_by_blocks(
-    run: IntegrationRun, grid: StepGrid, native: NativeAdvance
+    run: IntegrationRun, grid: StepGrid, native_advance: NativeAdvance
 ) -> Status:
     """Take the steps of a grid in compiled blocks, with a check after each block."""
     evaluations = run.integrator.evaluations or 1
     for i in range(0, grid.count, CHECK_INTERVAL):
         count = min(CHECK_INTERVAL, grid.count - i)
-        run.state = native(grid.time(i), run.state, grid.h, count)
+        run.state = native_advance(grid.time(i), run.state, grid.h, count)
         run.equations.evaluations += evaluations * count
         status = run.record_steps(grid.time(i + count), grid.h, count)
         if status is not Status.OK:

@@ -86,11 +86,14 @@ def jury_limit(
 
     def limit(omega: float, damping_ratio: float) -> float:
         ratio = min(damping_ratio, MAX_DAMPING)
-        t, d = np.array(trace(ratio)), np.array(determinant(ratio))
-        determinant_excess = poly.polysub(d, [1.0])
+        trace_polynomial, determinant_polynomial = (
+            np.array(trace(ratio)),
+            np.array(determinant(ratio)),
+        )
+        determinant_excess = poly.polysub(determinant_polynomial, [1.0])
         trace_excess = [
-            poly.polysub(signed_trace, poly.polyadd(d, [1.0]))
-            for signed_trace in (t, -t)
+            poly.polysub(signed_trace, poly.polyadd(determinant_polynomial, [1.0]))
+            for signed_trace in (trace_polynomial, -trace_polynomial)
         ]
         step = min(map(_first_positive, [determinant_excess, *trace_excess])) / omega
         # The limit is proportional to 1 / ratio there.

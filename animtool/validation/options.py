@@ -226,8 +226,8 @@ def matches_code(prefix: str) -> bool:
     (True, False)
     """
     prefix = prefix.upper()
-    codes = current_codes(prefix)
-    if prefix and any(code.startswith(codes) for code in builtin_rules()):
+    current_prefixes = current_codes(prefix)
+    if prefix and any(code.startswith(current_prefixes) for code in builtin_rules()):
         return True
     rules, _ = all_rules()
     return bool(prefix) and any(code.startswith(prefix) for code in rules)

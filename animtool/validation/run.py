@@ -49,28 +49,33 @@ def find_files(paths: Iterable[Path | str]) -> list[Path]:
 def match_files(paths: Iterable[Path | str]) -> tuple[list[Path], list[Fault]]:
     """Return the files of `find_files`, and a warning for each path without a match."""
     # An empty text is an unset shell variable; the current folder is ".".
-    texts = [text for path in paths if (text := str(path))]
-    for text in texts:
-        if "\0" in text:
-            raise unreadable_error(Path(text), "embedded null byte")
+    path_texts = [path_text for path in paths if (path_text := str(path))]
+    for path_text in path_texts:
+        if "\0" in path_text:
+            raise unreadable_error(Path(path_text), "embedded null byte")
     files: dict[Path, None] = {}
     unmatched_warnings = []
-    for text in texts:
-        matching_paths = [file.path for file in matching_files(text, INPUT_SUFFIXES)]
+    for path_text in path_texts:
+        matching_paths = [
+            file.path for file in matching_files(path_text, INPUT_SUFFIXES)
+        ]
         files.update(dict.fromkeys(matching_paths))
         if not matching_paths:
-            message, hint = f"no file to check in {text!r}", nearest_file(Path(text))
+            message, hint = (
+                f"no file to check in {path_text!r}",
+                nearest_file(Path(path_text)),
+            )
             fault = Fault("VAL010", message, hint=hint, severity=Severity.WARNING)
             unmatched_warnings.append(fault)
     if not files:
-        message = f"no file to check in {', '.join(texts)}"
-        if not texts:
+        message = f"no file to check in {', '.join(path_texts)}"
+        if not path_texts:
             message = "the path is empty"
             hint = "is a variable of the shell not set? the current folder is '.'"
             raise NoMatchError(Fault("VAL006", message, hint=hint))
         hint = "animtool checks .rig.yaml, .clip.yaml, .scene.yaml, .bvh and .usda; "
         hint += "animtool explain VAL006 lists all names"
-        suggestion = nearest_file(Path(texts[0])) if texts else None
+        suggestion = nearest_file(Path(path_texts[0])) if path_texts else None
         hint = f"{suggestion}; {hint}" if suggestion else hint
         raise NoMatchError(Fault("VAL006", message, hint=hint))
     return list(files), unmatched_warnings
@@ -89,7 +94,7 @@ CAUSES_BY_CODE = {
     "MOT213": {"USD126"},
     "RIG204": {"RIG115"},
 }
-# Those of them that only a cause at their location or below explains.
+# Codes of these that only a cause at or below their own location explains.
 LOCALLY_CAUSED_CODES = {"RIG204"}
 
 
@@ -212,9 +217,11 @@ def validate_files(
     faults_by_file = _findings_of_files(
         files, file_options, file_values, _process_count(options.jobs, len(files))
     )
-    names = {path.resolve(): str(path) for path in files}
+    spelling_by_path = {path.resolve(): str(path) for path in files}
     findings = {
-        _with_file_name(fault, names) for faults in faults_by_file for fault in faults
+        _with_file_name(fault, spelling_by_path)
+        for faults in faults_by_file
+        for fault in faults
     }
     return Report(files, tuple(sorted(findings, key=_sort_key)), failed_rules)
 
@@ -322,8 +329,8 @@ def _is_explained(fault: Fault, faults: Sequence[Fault]) -> bool:
     causes = CAUSES_BY_CODE.get(fault.code, ())
     location = (fault.where or "") if fault.code in LOCALLY_CAUSED_CODES else ""
     return any(
-        other.code in causes and (other.where or "").startswith(location)
-        for other in faults
+        other_fault.code in causes and (other_fault.where or "").startswith(location)
+        for other_fault in faults
     )
 
 
@@ -371,9 +378,9 @@ def _run_rule(rule: Rule, checked_file: CheckedFile) -> list[Fault]:
         return [Fault("VAL003", message, path, (), hint)]
 
 
-def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
+def _with_file_name(fault: Fault, spelling_by_path: dict[Path, str]) -> Fault:
     """Return a finding with its path spelled as the user did, or relative."""
-    if fault.path is None or fault.path in names.values():
+    if fault.path is None or fault.path in spelling_by_path.values():
         return fault
     try:
         path = Path(fault.path).resolve()
@@ -383,7 +390,7 @@ def _with_file_name(fault: Fault, names: dict[Path, str]) -> Fault:
     shown_path = path
     if path.is_relative_to(working_folder):
         shown_path = path.relative_to(working_folder)
-    return replace(fault, path=names.get(path, str(shown_path)))
+    return replace(fault, path=spelling_by_path.get(path, str(shown_path)))
 
 
 def _sort_key(fault: Fault) -> tuple[object, ...]:

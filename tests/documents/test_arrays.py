@@ -220,8 +220,8 @@ def test_few_archives_are_open_at_once(tmp_path: Path) -> None:
         for _ in range(2):
             for i, path in enumerate(paths):
                 assert archives.load(path, "x").tolist() == [i, i]
-        assert len(archives._open) == MAX_OPEN_ARCHIVES
-    assert not archives._open
+        assert len(archives._open_archives) == MAX_OPEN_ARCHIVES
+    assert not archives._open_archives
 
 
 def test_structures_are_refused(tmp_path: Path) -> None:

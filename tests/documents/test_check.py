@@ -12,7 +12,7 @@ from animtool.core.options import key
 from animtool.documents.check import FileModel, check_version, validate_document
 from animtool.documents.document import Document, read_document
 from animtool.documents.model_faults import MAX_REPLACED_VALUES
-from animtool.documents.value_hints import EntryExamples
+from animtool.documents.value_hints import OptionExamplesAnnotation
 
 
 class Round(FileModel):
@@ -52,7 +52,7 @@ class Shown(FileModel):
 
     crate: Annotated[
         dict[str, dict[str, object]] | None,
-        EntryExamples({"box": {"size": [1, 1, 1]}, "ball": {"radius": 0.5}}),
+        OptionExamplesAnnotation({"box": {"size": [1, 1, 1]}, "ball": {"radius": 0.5}}),
     ] = key("A shape.", {"box": {"size": [2, 2, 2]}}, default=None)
     items: list[Square] = key("Squares.", [{"type": "square"}], default=[])
     take: File | None = key("A take.", {"file": "a.bvh"}, default=None)

@@ -30,7 +30,7 @@ class CordModel(FileModel):
     name: str = "cord"
 
 
-@with_fields(Cord, "mass", "slack", ranges="schema")
+@with_fields(Cord, "mass", "slack", range_check="schema")
 class BoundedModel(FileModel):
     """A cord of sound numbers."""
 
@@ -93,7 +93,7 @@ class Swing:
     length: float = 1.0
 
 
-@with_fields(Swing, ranges="model")
+@with_fields(Swing, range_check="model")
 class SwingModel(FileModel):
     pushes: list[list[float]] = Field(default=[[1.0, 2.0]], description="Its own.")
 

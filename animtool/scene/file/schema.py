@@ -25,7 +25,7 @@ from animtool.documents.fields import (
     check_numbers,
     with_fields,
 )
-from animtool.documents.value_hints import EntryNames
+from animtool.documents.value_hints import NamedOptionsAnnotation
 from animtool.motion.passes import pass_names
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.sources.open import SourceOptions
@@ -257,7 +257,7 @@ class SceneModel(FileModel):
                 dict[str, dict[str, Any] | None],
                 Len(1, 1),
                 AfterValidator(check_numbers),
-                EntryNames("pass", pass_names),
+                NamedOptionsAnnotation("pass", pass_names),
             ]
         ],
         Len(0, 1000),

@@ -120,24 +120,24 @@ def pushable_table(bodies: Sequence[MovingBodies], t0: float, t1: float) -> Floa
             centres, inverse_inertias = system.inertias(t0, is_step_start=True)
             end_centres, _ = system.inertias(t1)
             inertia_rows = inverse_inertias[:, [0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
-            masses = 1 / system.masses[:, None]
-            columns = [masses, inertia_rows, centres, end_centres]
+            inverse_masses = 1 / system.masses[:, None]
+            columns = [inverse_masses, inertia_rows, centres, end_centres]
             tables.append(np.concatenate(columns, axis=1))
     return np.concatenate(tables)
 
 
 def split_by_system(
-    bodies: Sequence[MovingBodies], pushes: FloatArray
+    bodies: Sequence[MovingBodies], impulses: FloatArray
 ) -> list[FloatArray]:
     """Split impulses on all bodies ``(2, B, 6)`` into one array for each system."""
     end_indices = np.cumsum([system.count for system in bodies])
-    return np.split(pushes, end_indices[:-1], axis=1) if bodies else []
+    return np.split(impulses, end_indices[:-1], axis=1) if bodies else []
 
 
 def exchange_impulses(
     bodies: MovingBodies,
     t: float,
-    shapes: IntArray,
+    collider_indices: IntArray,
     without_contacts: FloatArray,
     with_contacts: FloatArray,
     masses: FloatArray,
@@ -151,12 +151,12 @@ def exchange_impulses(
     Benevolenski and Voroshilov 2012, "Mass splitting for jitter-free parallel rigid
     body simulation").
 
-    ``shapes`` has the index of the collider that each point touched, negative for none
-    ``(N,)``. States at the end of the step, at ``t`` [s], are positions, then
+    ``collider_indices`` has the index of the collider that each point touched, negative
+    for none ``(N,)``. States at the end of the step, at ``t`` [s], are positions, then
     velocities ``(2, N, 3)``; masses of points are ``(N,)`` [kg]. Returns the state of
     the points, and the impulses on the bodies.
     """
-    owners = np.where(shapes >= 0, bodies.owners[shapes], -1)
+    owners = np.where(collider_indices >= 0, bodies.owners[collider_indices], -1)
     velocity_change = with_contacts[1] - without_contacts[1]
     speed_change = np.linalg.norm(velocity_change, axis=1)
     (touching_indices,) = np.nonzero((owners >= 0) & (speed_change > 0))

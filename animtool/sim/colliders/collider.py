@@ -91,10 +91,10 @@ class Poses:
         offsets = so3.rotate(self.rows[:, None, 3:], points)
         return np.asarray(self.rows[:, None, :3] + offsets, np.float64)
 
-    def teleports(self, points: FloatArray, limit: float) -> BoolArray:
+    def teleports(self, points: FloatArray, speed_limit: float) -> BoolArray:
         """Return a mask of intervals in which points exceed a speed ``(T - 1,)``."""
         distances = np.linalg.norm(np.diff(self.to_world(points), axis=0), axis=2)
-        max_distances = limit * np.diff(self.sample_times)
+        max_distances = speed_limit * np.diff(self.sample_times)
         return np.asarray(distances.max(axis=1) > max_distances, np.bool_)
 
     def faults(self) -> list[str]:
@@ -165,15 +165,15 @@ class Collider(Contact, CheckedRecord):
         key_times, poses = self.poses.sample_times, self.poses.at_times(times)
         if not self.teleports.any():
             return np.stack([poses[:-1], poses[1:]], axis=1)
-        intervals = np.searchsorted(key_times, times, "right") - 1
-        intervals = np.clip(intervals, 0, len(key_times) - 1)
+        interval_indices = np.searchsorted(key_times, times, "right") - 1
+        interval_indices = np.clip(interval_indices, 0, len(key_times) - 1)
         is_teleport = np.append(self.teleports, False)
         # Within a teleport, a collider stays where it was.
-        stays = is_teleport[intervals]
-        poses[stays] = self.poses.rows[intervals[stays]]
+        is_in_teleport = is_teleport[interval_indices]
+        poses[is_in_teleport] = self.poses.rows[interval_indices[is_in_teleport]]
         ends = np.stack([poses[:-1], poses[1:]], axis=1)
         # A collider that teleports within a step is at its goal from the start of it.
-        teleport_counts = np.cumsum(np.append(0, is_teleport))[intervals]
+        teleport_counts = np.cumsum(np.append(0, is_teleport))[interval_indices]
         has_teleported = teleport_counts[1:] > teleport_counts[:-1]
         ends[has_teleported, 0] = ends[has_teleported, 1]
         return ends

@@ -140,10 +140,10 @@ class Colliders(Sequence[Collider]):
             faults += sheet.faults(sheet.name or f"sheets[{i}]")
         if faults:
             raise OptionError(faults)
-        self._meshes, roots = _mesh_arrays([c.shape for c in rigid])
+        self._meshes, root_nodes = _mesh_arrays([c.shape for c in rigid])
         kind_rows = [
             (_SHAPE_KINDS[type(c.shape)], _active_side(c), root)
-            for c, root in zip(rigid, roots, strict=True)
+            for c, root in zip(rigid, root_nodes, strict=True)
         ]
         self._kinds = np.array(kind_rows, np.int64).reshape(-1, 3)
         self._sizes = np.zeros((len(rigid), _SIZE_COUNT))
@@ -195,10 +195,10 @@ class Colliders(Sequence[Collider]):
         Velocities are those of the step that begins at ``t0``.
         """
         positions = as_floats(points, ("N", 3), "points")
-        end = t0 if t1 is None else t1
+        end_time = t0 if t1 is None else t1
         return ColliderSamples(
             *_kernels.sample_colliders(
-                self.kernel_arrays(t0, end), positions, 0.0, end - t0
+                self.kernel_arrays(t0, end_time), positions, 0.0, end_time - t0
             )
         )
 
@@ -290,12 +290,16 @@ def collide(
     if not isinstance(colliders, Colliders):
         colliders = Colliders(colliders)
     positions = as_floats(points, ("N", 3), "points")
-    count = len(positions)
-    end_velocities = as_floats(velocities, (count, 3), "velocities")
+    particle_count = len(positions)
+    end_velocities = as_floats(velocities, (particle_count, 3), "velocities")
     end_state = np.stack([positions, end_velocities])
-    start_state = as_floats(before, (2, count, 3), "before")
-    radius_array = np.ascontiguousarray(np.broadcast_to(radii, count), np.float64)
-    spawn_times = np.zeros(count) if spawned_at is None else np.subtract(spawned_at, t0)
+    start_state = as_floats(before, (2, particle_count, 3), "before")
+    radius_array = np.ascontiguousarray(
+        np.broadcast_to(radii, particle_count), np.float64
+    )
+    spawn_times = (
+        np.zeros(particle_count) if spawned_at is None else np.subtract(spawned_at, t0)
+    )
     sheet_contacts = _stop_at_sheets(
         colliders, start_state, end_state, (t0, t1), radius_array, spawn_times
     )
@@ -307,13 +311,13 @@ def collide(
         spawn_times,
         t1 - t0,
     )
-    for indices, kinds, sheet_normals in sheet_contacts:
+    for indices, contact_kinds, sheet_normals in sheet_contacts:
         is_untouched = touches[indices, 0] < 0
-        touches[indices[is_untouched]] = kinds[is_untouched]
+        touches[indices[is_untouched]] = contact_kinds[is_untouched]
         normals[indices[is_untouched]] = sheet_normals[is_untouched]
-    collider_indices, kinds = touches.T.copy()
+    collider_indices, contact_kinds = touches.T.copy()
     return CollisionResult(
-        state[0], state[1], Contacts(collider_indices, kinds, normals)
+        state[0], state[1], Contacts(collider_indices, contact_kinds, normals)
     )
 
 
@@ -357,14 +361,16 @@ def _stop_at_sheets(
 def _mesh_arrays(shapes: Sequence[object]) -> tuple[tuple[Any, ...], list[int]]:
     """Return concatenated arrays of all meshes, and the root node of each shape."""
     meshes = [_NO_MESH]
-    roots, offsets = [], np.zeros(3, np.int32)
+    root_nodes, offsets = [], np.zeros(3, np.int32)
     for shape in shapes:
-        roots.append(int(offsets[2]))
+        root_nodes.append(int(offsets[2]))
         if isinstance(shape, Mesh):
             arrays = _offset_mesh(shape, *offsets.tolist())
             meshes.append(arrays)
             offsets += [len(arrays[0]), len(arrays[1]), len(arrays[5])]
-    return tuple(np.concatenate(arrays) for arrays in zip(*meshes, strict=True)), roots
+    return tuple(
+        np.concatenate(arrays) for arrays in zip(*meshes, strict=True)
+    ), root_nodes
 
 
 def _offset_mesh(

@@ -101,14 +101,14 @@ def rig_colliders(
         template: Collider that provides the contact material; None for the default.
     """
     capsules = JointCapsules.from_rig(rig)
-    joint_poses, ends = capsules.joint_poses_and_ends(world)
+    capsule_poses, ends = capsules.joint_poses_and_ends(world)
     colliders = []
     for capsule_index, radius in enumerate(capsules.world_radii(world).tolist()):
         rig_collider, (a, b) = rig.colliders[capsule_index], ends[capsule_index]
         length = float(np.linalg.norm(b - a))
         axis = (b - a) / length if length else rig_collider.capsule.axis
         shape = Capsule(radius, length, tuple(axis), tuple((a + b) / 2))
-        poses_over_time = joint_poses[:, capsule_index]
+        poses_over_time = capsule_poses[:, capsule_index]
         poses = Poses(times, poses_over_time[:, :3], poses_over_time[:, 3:])
         base = Collider(shape) if template is None else template
         name = rig_collider.joint

@@ -169,9 +169,9 @@ class Mesh:
     @property
     def is_watertight(self) -> bool:
         """Whether every edge has two triangles of consistent winding."""
-        corners = self.weld()[1].astype(np.int64)
-        edges = np.concatenate([corners[:, [k, (k + 1) % 3]] for k in range(3)])
-        strides = np.array([corners.max(initial=0) + 1, 1])
+        triangles = self.weld()[1].astype(np.int64)
+        edges = np.concatenate([triangles[:, [k, (k + 1) % 3]] for k in range(3)])
+        strides = np.array([triangles.max(initial=0) + 1, 1])
         forward, backward = np.sort(edges @ strides), np.sort(edges[:, ::-1] @ strides)
         return bool((forward == backward).all() and (np.diff(forward) > 0).all())
 
@@ -276,9 +276,9 @@ def _range_faults(shape: Any) -> list[str]:
     return [fault.message for fault in range_faults(shape, ENTRY_RANGE_MESSAGE)]
 
 
-def _size_faults(values: Sequence[float]) -> list[str]:
+def _size_faults(sizes: Sequence[float]) -> list[str]:
     """Return a message about the first size that is not above 0."""
-    invalid_values = [value for value in values if not 0 < value < np.inf]
+    invalid_values = [value for value in sizes if not 0 < value < np.inf]
     return [f"its size must be above 0, not {value:g}" for value in invalid_values[:1]]
 
 

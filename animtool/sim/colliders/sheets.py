@@ -101,9 +101,11 @@ def hull_points(points: FloatArray, triangles: IntArray, radius: float) -> Float
     """Return the points of a hull: the front, then the back ``(2 N, 3)`` [m]."""
     a, b, c = points[triangles].swapaxes(0, 1)
     area_vectors = np.cross(b - a, c - a)
-    corners, weights = triangles.T.ravel(), np.tile(area_vectors, (3, 1)).T
-    sums = [np.bincount(corners, component, len(points)) for component in weights]
-    offsets: FloatArray = np.stack(sums, axis=1)
+    corners, corner_vectors = triangles.T.ravel(), np.tile(area_vectors, (3, 1)).T
+    vector_sums = [
+        np.bincount(corners, component, len(points)) for component in corner_vectors
+    ]
+    offsets: FloatArray = np.stack(vector_sums, axis=1)
     lengths = np.linalg.norm(offsets, axis=1, keepdims=True)
     offsets = offsets / np.where(lengths > 0, lengths, 1.0) * radius
     return np.concatenate([points + offsets, points - offsets])
@@ -115,14 +117,14 @@ def hull_faces(triangles: IntArray, point_count: int) -> IntArray:
     strides = [point_count, 1]
     is_rim = ~np.isin(edges @ strides, edges[:, ::-1] @ strides)
     edge_starts, edge_ends = edges[is_rim].T
-    rim = [
+    rim_faces = [
         np.stack([edge_ends, edge_starts, edge_starts + point_count], axis=1),
         np.stack(
             [edge_ends, edge_starts + point_count, edge_ends + point_count], axis=1
         ),
     ]
     back_faces = triangles[:, ::-1] + point_count
-    return np.concatenate([triangles, back_faces, *rim])
+    return np.concatenate([triangles, back_faces, *rim_faces])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -166,9 +168,9 @@ def nearby_states(
     indices = np.flatnonzero(is_near)
     if not len(indices) or not len(triangles):
         return None
-    motion = end_points - start_points
+    sheet_displacements = end_points - start_points
     displacement = _displacement(
-        start_states[0, indices], start_points, motion, triangles
+        start_states[0, indices], start_points, sheet_displacements, triangles
     )
     velocity = displacement / (t1 - t0)
     start_state, end_state = (
@@ -187,14 +189,14 @@ def _is_near_sheet(
     end_points: FloatArray,
     path_starts: FloatArray,
     path_ends: FloatArray,
-    radius: FloatArray,
+    radii: FloatArray,
 ) -> BoolArray:
     """Return a mask of paths that enter the bounding box of a sheet ``(N,)``."""
     low = np.minimum(start_points.min(axis=0), end_points.min(axis=0))
     high = np.maximum(start_points.max(axis=0), end_points.max(axis=0))
     # A path is a parabola: it leaves the box of its end points by at most its length.
     path_lengths = np.linalg.norm(path_ends - path_starts, axis=1, keepdims=True)
-    margin = radius[:, None] + path_lengths
+    margin = radii[:, None] + path_lengths
     above_low = np.maximum(path_starts, path_ends) + margin >= low
     below_high = np.minimum(path_starts, path_ends) - margin <= high
     return np.asarray((above_low & below_high).all(axis=1))
@@ -202,25 +204,27 @@ def _is_near_sheet(
 
 def _displacement(
     points: FloatArray,
-    positions: FloatArray,
-    displacements: FloatArray,
+    sheet_points: FloatArray,
+    sheet_displacements: FloatArray,
     triangles: IntArray,
 ) -> FloatArray:
     """Return how far the surface moves where it is nearest to points ``(N, 3)``."""
     from scipy.spatial import cKDTree
 
     used_points = np.unique(triangles)
-    nearest = used_points[cKDTree(positions[used_points]).query(points)[1]]
-    neighbours = _triangles_by_point(triangles, len(positions))[nearest]
-    corners = triangles[neighbours]
-    a, b, c = (positions[corners[..., k]] for k in range(3))
+    nearest_indices = used_points[cKDTree(sheet_points[used_points]).query(points)[1]]
+    triangle_indices = _triangles_by_point(triangles, len(sheet_points))[
+        nearest_indices
+    ]
+    corners = triangles[triangle_indices]
+    a, b, c = (sheet_points[corners[..., k]] for k in range(3))
     weights = _barycentric_weights(points[:, None], a, b, c)
-    nearest_points = np.einsum("ndk,ndkx->ndx", weights, positions[corners])
+    nearest_points = np.einsum("ndk,ndkx->ndx", weights, sheet_points[corners])
     distances = np.linalg.norm(nearest_points - points[:, None], axis=2)
-    distances[neighbours < 0] = np.inf
+    distances[triangle_indices < 0] = np.inf
     nearest_triangle = distances.argmin(axis=1)[:, None, None]
     candidate_displacements = np.einsum(
-        "ndk,ndkx->ndx", weights, displacements[corners]
+        "ndk,ndkx->ndx", weights, sheet_displacements[corners]
     )
     return np.asarray(
         np.take_along_axis(candidate_displacements, nearest_triangle, axis=1)[:, 0]
@@ -258,7 +262,7 @@ class Surfaces:
     Points that coincide at the beginning are merged; triangles do not change.
 
     Attributes:
-        fastest: Highest speed so far [m/s]; teleports do not count.
+        max_speed: Highest speed so far [m/s]; teleports do not count.
     """
 
     def __init__(self, sheets: Sequence[Sheet]) -> None:
@@ -285,26 +289,26 @@ class Surfaces:
         first_knot, offset = divmod(first_step, knot_steps)
         last_knot = -(-(first_step + step_count) // knot_steps)
         knot_indices = np.arange(first_knot, last_knot + 1)
-        knots = np.asarray(start + knot_indices * (knot_steps * dt), np.float64)
+        knot_times = np.asarray(start + knot_indices * (knot_steps * dt), np.float64)
         arrays = []
         for sheet_index, sheet in enumerate(self._prepared_sheets):
-            points = np.stack([sheet.points(t) for t in knots.tolist()])
-            self._record_speed(sheet_index, sheet.sheet, points, knots)
+            points = np.stack([sheet.points(t) for t in knot_times.tolist()])
+            self._record_speed(sheet_index, sheet.sheet, points, knot_times)
             kernel, material = sheet.kernel, sheet.material
             arrays.append((kernel, points, material, knot_steps, offset))
         return arrays
 
     def _record_speed(
-        self, sheet_index: int, sheet: Sheet, points: FloatArray, knots: FloatArray
+        self, sheet_index: int, sheet: Sheet, points: FloatArray, knot_times: FloatArray
     ) -> None:
         """Record the maximum speed of a sheet, and its teleports."""
         distances = np.linalg.norm(np.diff(points, axis=0), axis=2).max(axis=1)
-        speeds = distances / np.diff(knots)
+        speeds = distances / np.diff(knot_times)
         is_teleport = speeds > SPEED_LIMIT
         self.max_speed = max(
             self.max_speed, float(speeds[~is_teleport].max(initial=0.0))
         )
-        for time in knots[1:][is_teleport].tolist():
+        for time in knot_times[1:][is_teleport].tolist():
             label = sheet.name or f"sheets[{sheet_index}]"
             fault = teleport_warning(SPEED_LIMIT, time, label)
             self._teleports[sheet_index, time] = fault

@@ -30,8 +30,8 @@ def step_doubling(base: Integrator) -> Integrator:
         message = f"{base.name} cannot be the base of adaptive_doubling"
         hint = "use one with fixed steps, such as rk4 or implicit_euler"
         raise OptionError(Fault("SIM006", message, where="base", hint=hint))
-    gain = 1 / (2**base.order - 1)
-    stability_polynomial = _doubling_polynomial(base.stability_polynomial, gain)
+    error_factor = 1 / (2**base.order - 1)
+    stability_polynomial = _doubling_polynomial(base.stability_polynomial, error_factor)
 
     def doubled_step(
         equations: Equations, t: float, y: FloatArray, h: float, memory: object
@@ -45,7 +45,7 @@ def step_doubling(base: Integrator) -> Integrator:
         )
         if second_half is None:
             return None
-        error = gain * (second_half.state - full_step.state)
+        error = error_factor * (second_half.state - full_step.state)
         return StepResult(second_half.state + error, error=error)
 
     return replace(
@@ -66,7 +66,7 @@ def step_doubling(base: Integrator) -> Integrator:
 
 
 def _doubling_polynomial(
-    base_polynomial: tuple[float, ...], gain: float
+    base_polynomial: tuple[float, ...], error_factor: float
 ) -> tuple[float, ...]:
     """Return the stability polynomial of two corrected half steps; may be empty."""
     if not base_polynomial:
@@ -74,7 +74,8 @@ def _doubling_polynomial(
     half_step_polynomial = [c / 2**i for i, c in enumerate(base_polynomial)]
     squared_polynomial = poly.polymul(half_step_polynomial, half_step_polynomial)
     polynomial = poly.polyadd(
-        squared_polynomial * (1 + gain), poly.polymul(base_polynomial, [-gain])
+        squared_polynomial * (1 + error_factor),
+        poly.polymul(base_polynomial, [-error_factor]),
     )
     return tuple(polynomial.tolist())
 

@@ -28,9 +28,9 @@ def pareto_optimal(costs: Sequence[Cost | None]) -> list[int]:
     >>> pareto_optimal([Cost(1, 0.1), Cost(2, 0.01), Cost(3, 0.05), None])
     [0, 1]
     """
-    rows = [(cost.value, cost.error, i) for i, cost in enumerate(costs) if cost]
+    cost_rows = [(cost.value, cost.error, i) for i, cost in enumerate(costs) if cost]
     optimal_indices, min_error = [], float("inf")
-    for _, error, i in sorted(rows):
+    for _, error, i in sorted(cost_rows):
         if error < min_error:
             optimal_indices.append(i)
             min_error = error

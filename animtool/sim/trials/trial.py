@@ -221,7 +221,7 @@ def run_distances(
     """
     distance_arrays, unmatched, count = [np.zeros(0)], 0, 0
     angles: list[FloatArray] = []
-    largest_distance, location = -1.0, None
+    largest_distance, worst_at = -1.0, None
     for k, (reference, snapshot) in enumerate(zip(references, snapshots, strict=True)):
         a, b = reference.points, snapshot.points
         true_rotations, rotations = reference.orientations, snapshot.orientations
@@ -231,17 +231,17 @@ def run_distances(
             )
             unmatched += len(a) + len(b) - 2 * len(i)
             count += len(a) + len(b) - len(i)
-            a, b, points = a[i], b[j], i
+            a, b, point_indices = a[i], b[j], i
             true_rotations = None if true_rotations is None else true_rotations[i]
             rotations = None if rotations is None else rotations[j]
         else:
             count += len(a)
-            points = np.arange(len(a))
+            point_indices = np.arange(len(a))
         point_distances = np.linalg.norm(b - a, axis=1)
         if len(point_distances) and point_distances.max() > largest_distance:
             farthest = int(point_distances.argmax())
             largest_distance = float(point_distances[farthest])
-            location = (k, int(points[farthest]))
+            worst_at = (k, int(point_indices[farthest]))
         distance_arrays.append(point_distances)
         if true_rotations is not None and rotations is not None:
             angles.append(so3.angle_between(true_rotations, rotations))
@@ -251,7 +251,7 @@ def run_distances(
         return PointDistances(0.0, 0.0, 0.0, unmatched / max(count, 1), angle)
     largest, median = float(all_distances.max()), float(np.median(all_distances))
     return PointDistances(
-        largest, _rms(all_distances), median, unmatched / count, angle, location
+        largest, _rms(all_distances), median, unmatched / count, angle, worst_at
     )
 
 

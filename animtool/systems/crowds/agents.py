@@ -87,21 +87,25 @@ def build_agents(
     spec: CrowdsModel,
     population_data: Sequence[Mapping[str, Any]],
     begin: float,
-    frame: GroundFrame,
+    ground_frame: GroundFrame,
 ) -> tuple[Agents, list[Fault]]:
-    """Return the agents of a spec, moved apart if they overlap (SIM147)."""
+    """Return the agents of a spec, with overlapping agents moved apart (SIM147)."""
     refuse_all("SIM145", _key_problems(spec))
-    samples: list[dict[str, Any]] = []
+    population_samples: list[dict[str, Any]] = []
     group_count = 0
     for population, data in zip(spec.populations, population_data, strict=True):
-        samples.append(_sample_population(population, data, begin, frame, group_count))
-        group_count = int(samples[-1]["groups"].max(initial=group_count - 1)) + 1
+        population_samples.append(
+            _sample_population(population, data, begin, ground_frame, group_count)
+        )
+        group_count = (
+            int(population_samples[-1]["groups"].max(initial=group_count - 1)) + 1
+        )
     agents = Agents(
         spec.populations,
-        np.cumsum([len(sample["start_points"]) for sample in samples]).tolist(),
+        np.cumsum([len(data["start_points"]) for data in population_samples]).tolist(),
         **{
-            name: np.concatenate([sample[name] for sample in samples])
-            for name in samples[0]
+            name: np.concatenate([data[name] for data in population_samples])
+            for name in population_samples[0]
         },
     )
     has_points = [data.get("points") is not None for data in population_data]
@@ -144,13 +148,14 @@ def _crowded_warning(agents: Agents, distances: FloatArray) -> Fault:
 
     ``distances`` are those by which agents are moved apart ``(N,)`` [m].
     """
-    k = int(agents.entry_indices[np.argmax(distances)])
-    count = int((agents.entry_indices == k).sum())
-    message = f"{counted(count, 'agent')} of {agents.entries[k].name!r} are too many "
+    population_index = int(agents.entry_indices[np.argmax(distances)])
+    count = int((agents.entry_indices == population_index).sum())
+    name = agents.entries[population_index].name
+    message = f"{counted(count, 'agent')} of {name!r} are too many "
     message += "for their region: they would start inside each other, and are moved "
     message += f"apart by up to {length_text(float(distances.max()))}"
     hint = "use a larger region, or fewer agents"
-    return warning("SIM147", message, hint, f"populations[{k}].count")
+    return warning("SIM147", message, hint, f"populations[{population_index}].count")
 
 
 def separate_agents(
@@ -178,12 +183,12 @@ def _sample_population(
     population: PopulationModel,
     data: Mapping[str, Any],
     begin: float,
-    frame: GroundFrame,
+    ground_frame: GroundFrame,
     first_group: int,
 ) -> dict[str, Any]:
     """Return start positions and random properties of a population, as `Agents`.
 
-    Its groups are numbered from ``first_group`` on.
+    Its groups are numbered starting at ``first_group``.
     """
     points = data.get("points")
     if points is not None and (
@@ -193,8 +198,8 @@ def _sample_population(
         refuse("SIM145", f"{message}finite: they must be (N, 3)", "points")
     count = population.count if points is None else len(points)
     agent_indices = np.arange(count)
-    randoms = uniform_samples(population.seed, agent_indices, 10)
-    randoms, body_randoms = np.split(randoms, [6], axis=1)
+    random_numbers = uniform_samples(population.seed, agent_indices, 10)
+    random_numbers, body_random_numbers = np.split(random_numbers, [6], axis=1)
     group_size = population.group
     if points is None:
         emitter = Emitter(
@@ -205,7 +210,7 @@ def _sample_population(
             seed=population.seed,
         )
         points = emitter.sample_at(begin, count)[0]
-    starts = frame.to_local(points)[:, [0, 2]]
+    start_positions = ground_frame.to_local(points)[:, [0, 2]]
     groups = np.full(count, -1)
     lateral_offsets = np.zeros(count)
     if group_size > 1:
@@ -216,30 +221,36 @@ def _sample_population(
         lateral_offsets *= population.radius
         if data.get("points") is None:
             # The others stand around the first, at a random angle.
-            directions = _unit_vectors(2 * np.pi * randoms[leaders, 0])
-            starts = starts[leaders] + directions * lateral_offsets[:, None]
-        body_randoms[:, 2:] = body_randoms[leaders, 2:]
-        randoms = np.concatenate([randoms[leaders, :5], randoms[:, 5:]], axis=1)
+            directions = _unit_vectors(2 * np.pi * random_numbers[leaders, 0])
+            start_positions = (
+                start_positions[leaders] + directions * lateral_offsets[:, None]
+            )
+        body_random_numbers[:, 2:] = body_random_numbers[leaders, 2:]
+        random_numbers = np.concatenate(
+            [random_numbers[leaders, :5], random_numbers[:, 5:]], axis=1
+        )
         groups += first_group
     speed = population.speed
     # Box-Muller transform.
-    magnitudes = np.sqrt(-2 * np.log1p(-randoms[:, 1]))
-    normal_samples = magnitudes * np.cos(2 * np.pi * randoms[:, 2])
+    magnitudes = np.sqrt(-2 * np.log1p(-random_numbers[:, 1]))
+    normal_samples = magnitudes * np.cos(2 * np.pi * random_numbers[:, 2])
     deviations = np.clip(normal_samples, -MAX_DEVIATIONS, MAX_DEVIATIONS) * speed.spread
     speeds = np.maximum(speed.mean + deviations, MIN_SPEED_RATIO * speed.mean)
     max_speed = MAX_SPEED_RATIO * speed.mean if speed.most is None else speed.most
-    goal_directions = _unit_vectors(2 * np.pi * body_randoms[:, 3])
+    goal_directions = _unit_vectors(2 * np.pi * body_random_numbers[:, 3])
     return {
-        "start_points": starts,
+        "start_points": start_positions,
         "speeds": speeds,
         "max_speeds": np.maximum(max_speed, speeds),
-        "yield_weights": MIN_YIELDING + (1 - MIN_YIELDING) * randoms[:, 5],
-        "delays": population.delay * randoms[:, 3],
+        "yield_weights": MIN_YIELDING + (1 - MIN_YIELDING) * random_numbers[:, 5],
+        "delays": population.delay * random_numbers[:, 3],
         "groups": groups.astype(np.int32),
         "lateral_offsets": lateral_offsets,
-        "goal_offsets": GOAL_SPREAD * np.sqrt(body_randoms[:, 2:3]) * goal_directions,
-        "sizes": (1 + population.size) ** (2 * body_randoms[:, 0] - 1),
-        "clip_phases": body_randoms[:, 1],
+        "goal_offsets": GOAL_SPREAD
+        * np.sqrt(body_random_numbers[:, 2:3])
+        * goal_directions,
+        "sizes": (1 + population.size) ** (2 * body_random_numbers[:, 0] - 1),
+        "clip_phases": body_random_numbers[:, 1],
     }
 
 

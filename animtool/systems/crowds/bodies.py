@@ -59,13 +59,13 @@ class AgentBodies(Footing):
         """Joints that gaits, leg IK or the trunk rotate, ascending ``(M,)``."""
         gaits = self.gaits
         rest = gaits.walker.rig.rest_rotations
-        is_moved = [
+        is_animated = [
             (np.abs(gait.rotations - rest) > 1e-9).any(axis=(0, 2))
             for gait in (*gaits.cycles, gaits.idle, *gaits.reactions)
         ]
         joints = [joint for leg in gaits.walker.legs for joint in leg[:3]]
         joints += self.trunk.joints.tolist()
-        return np.union1d(np.flatnonzero(np.any(is_moved, axis=0)), joints)
+        return np.union1d(np.flatnonzero(np.any(is_animated, axis=0)), joints)
 
     @cached_property
     def trunk(self) -> Trunk:
@@ -84,8 +84,8 @@ class AgentBodies(Footing):
     ) -> BodyState:
         """Return bodies standing at the start, with random phases ``(N,)``."""
         count = len(random_phases)
-        motions = np.zeros((count, 3))
-        blend = self.blend(motions)
+        paces = np.zeros((count, 3))
+        blend = self.blend(paces)
         standing_targets = self.standing_targets(motion, blend)
         return BodyState(
             random_phases,
@@ -96,7 +96,7 @@ class AgentBodies(Footing):
             np.zeros(count),
             np.ones(count),
             random_phases * self.gaits.idle.period,
-            motions,
+            paces,
             -np.ones(count),
             np.zeros(count),
             np.zeros((count, 2)),
@@ -109,16 +109,18 @@ class AgentBodies(Footing):
         speeds = paces[:, 0] / self.scales
         yaw_rates = paces[:, 1]
         left_speeds = paces[:, 2] / self.scales
-        samples = np.stack([np.maximum(speeds, 0.0), leg_length * yaw_rates], axis=1)
+        pace_samples = np.stack(
+            [np.maximum(speeds, 0.0), leg_length * yaw_rates], axis=1
+        )
         gait_points = np.array(
             [[gait.speed, leg_length * gait.yaw_rate] for gait in moving_gaits]
         )
-        weights = _gait_weights(samples, gait_points)
+        weights = _gait_weights(pace_samples, gait_points)
         # BLAS sums in an order that depends on the number of agents; einsum does not.
         gait_paces = np.array([[gait.speed, gait.period] for gait in moving_gaits])
         speed, period = np.einsum("ng,gk->kn", weights, gait_paces)
-        cadence = (np.hypot(speeds, left_speeds) / speed) ** CADENCE_POWER
-        rates = np.clip(cadence, MIN_CADENCE_RATIO, MAX_CADENCE_RATIO) / period
+        cadence_ratios = (np.hypot(speeds, left_speeds) / speed) ** CADENCE_POWER
+        rates = np.clip(cadence_ratios, MIN_CADENCE_RATIO, MAX_CADENCE_RATIO) / period
         gait_steps = np.stack([gait.steps for gait in moving_gaits])
         steps = np.einsum("ng,gfk->nfk", weights, gait_steps)
         gait_fractions = np.stack([gait.stance_fractions for gait in moving_gaits])
@@ -135,10 +137,10 @@ class AgentBodies(Footing):
         rate_factor = np.maximum(rate_factor, stance_yaw / MAX_STANCE_YAW)
         rate_factor = np.clip(rate_factor, 1.0, np.maximum(MAX_CYCLE_RATE / rates, 1.0))
         free_rates, rates = rates, rates * rate_factor
-        stride = speeds / speed / (rates * period)
-        steps[..., 1] *= stride[:, None]
+        stride_ratios = speeds / speed / (rates * period)
+        steps[..., 1] *= stride_ratios[:, None]
         steps[..., 0] += (side_step / rate_factor)[:, None]
-        return Blend(weights, rates, free_rates, stride, stance_fractions, steps)
+        return Blend(weights, rates, free_rates, stride_ratios, stance_fractions, steps)
 
     def advance(
         self,
@@ -299,14 +301,16 @@ class AgentBodies(Footing):
         feet[..., 1] /= self.scales[:, None]
         thighs = self.leg_reach.thighs(phases, blend.weights, state.still)
         thighs[..., 1] += feet[..., 1].mean(axis=1)[:, None]
-        phase = (phases[:, None] - [0.0, 0.5]) % 1.0
-        ends, is_swinging = blend.stance_fractions, state.swings >= 0
+        foot_phases = (phases[:, None] - [0.0, 0.5]) % 1.0
+        stance_ends, is_swinging = blend.stance_fractions, state.swings >= 0
         pitches = [
             [self.heel_pitches(k, stance[:, k], blend, state.still) for k in range(2)]
-            for stance in (phase, ends)
+            for stance in (foot_phases, stance_ends)
         ]
         pitch_array = np.array(pitches).swapaxes(1, 2)
-        return Stances(phase, ends, is_swinging, feet, thighs, pitch_array, blend.rate)
+        return Stances(
+            foot_phases, stance_ends, is_swinging, feet, thighs, pitch_array, blend.rate
+        )
 
     def _reaction_times(
         self, reacts: FloatArray, dt: float, is_hit: BoolArray | None
@@ -329,10 +333,12 @@ class AgentBodies(Footing):
     ) -> FloatArray:
         """Return phases ``(N,)``; bodies that start to walk lift the rear foot."""
         offsets = self.standing_targets(motion, blend) - state.places
-        forward = rotate_about_y(offsets[..., :2], -motion.headings[:, None])[..., 1]
-        scores = forward + np.where(is_misplaced, 10.0, 0.0)
+        local_offsets = rotate_about_y(offsets[..., :2], -motion.headings[:, None])
+        lift_scores = local_offsets[..., 1] + np.where(is_misplaced, 10.0, 0.0)
         left_phases, right_phases = (blend.stance_fractions + np.array([0.0, 0.5])).T
-        lift_phases = np.where(scores[:, 1] > scores[:, 0], right_phases, left_phases)
+        lift_phases = np.where(
+            lift_scores[:, 1] > lift_scores[:, 0], right_phases, left_phases
+        )
         return np.where(is_starting, lift_phases % 1.0, state.phases)
 
     def _advance_foot(
@@ -381,10 +387,10 @@ def _gait_weights(samples: FloatArray, gait_points: FloatArray) -> FloatArray:
     if len(gait_points) == 1:
         return np.ones((len(samples), 1))
     offsets = gait_points[None] - gait_points[:, None]  # (i, j, 2)
-    squares = (offsets * offsets).sum(axis=2)
-    squares[squares == 0] = np.inf
+    squared_lengths = (offsets * offsets).sum(axis=2)
+    squared_lengths[squared_lengths == 0] = np.inf
     sample_offsets = samples[:, None] - gait_points[None]
-    projections = np.einsum("nik,ijk->nij", sample_offsets, offsets) / squares
+    projections = np.einsum("nik,ijk->nij", sample_offsets, offsets) / squared_lengths
     # The nearest band has at least half the weight: the sum is never 0.
     unnormalized_weights = np.clip(1 - projections, 0.0, 1.0).min(axis=2)
     return np.asarray(

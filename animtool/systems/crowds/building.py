@@ -41,13 +41,13 @@ MAX_CLEARING_PASSES = 20
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     """Build the crowd of a spec; raise SIM145 if the spec is invalid."""
     begin, population_data = context.begin, context.parts["populations"]
-    frame, ground = read_ground(context)
+    ground_frame, ground = read_ground(context)
     if context.colliders.sheets:
         message = "crowds avoid shapes, rigid bodies and the capsules of characters"
         hint = "use its colliders instead of the surface"
         refuse("SIM145", message, "systems", hint)
-    agents, notices = build_agents(spec, population_data, begin, frame)
-    steering, obstacles = _build_steering(spec, agents, frame, ground, context)
+    agents, notices = build_agents(spec, population_data, begin, ground_frame)
+    steering, obstacles = _build_steering(spec, agents, ground_frame, ground, context)
     start_points, moved_warnings = clear_starts(agents, steering.grid, obstacles, begin)
     notices += moved_warnings
     notices += unreachable_goal_warnings(
@@ -57,14 +57,14 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     meshes_by_prototype = {show: show() for show in prototypes if show is not None}
     sources = list(meshes_by_prototype)
     mesh_indices = [sources.index(show) if show else 0 for show in prototypes]
-    cast, fall_simulator = _build_bodies(spec, agents, frame, ground, context)
+    cast, fall_simulator = _build_bodies(spec, agents, ground_frame, ground, context)
     if cast is not None:
         for group in cast.groups:
             notices += group.bodies.gaits.notices
     return Crowd(
         spec,
         begin,
-        frame,
+        ground_frame,
         ground,
         agents,
         steering,
@@ -81,24 +81,26 @@ def build(spec: CrowdsModel, context: SimContext) -> Crowd:
 def _build_steering(
     spec: CrowdsModel,
     agents: Agents,
-    frame: GroundFrame,
+    ground_frame: GroundFrame,
     ground: Terrain,
     context: SimContext,
 ) -> tuple[Steering, Obstacles]:
     """Return the steering towards goals, and the obstacles on the ground."""
     colliders, begin = context.colliders, context.begin
-    goals = _project_on_ground(frame, [goal.at for goal in spec.goals])
-    grid, edge = navigation_grids(spec, agents, frame, ground, colliders, goals, begin)
-    queues = [
+    goals = _project_on_ground(ground_frame, [goal.at for goal in spec.goals])
+    grid, edge_grid = navigation_grids(
+        spec, agents, ground_frame, ground, colliders, goals, begin
+    )
+    queue_vectors = [
         [0.0, 0.0]
         if goal.queue is None
-        else project_direction(frame, goal.queue.direction) * goal.queue.spacing
+        else project_direction(ground_frame, goal.queue.direction) * goal.queue.spacing
         for goal in spec.goals
     ]
-    queue_spacings = np.array(queues).reshape(-1, 2)
+    queue_spacings = np.array(queue_vectors).reshape(-1, 2)
     steering = Steering(agents, spec.goals, goals, queue_spacings, grid)
-    door_begins = _project_on_ground(frame, [door.begin for door in spec.doors])
-    door_ends = _project_on_ground(frame, [door.end for door in spec.doors])
+    door_begins = _project_on_ground(ground_frame, [door.begin for door in spec.doors])
+    door_ends = _project_on_ground(ground_frame, [door.end for door in spec.doors])
     door_ends = np.stack([door_begins, door_ends], axis=1)
     for door, (first, last) in zip(spec.doors, door_ends, strict=True):
         if not ((last - first) ** 2).sum() > 0:
@@ -107,7 +109,14 @@ def _build_steering(
             refuse("SIM145", message, "doors")
     horizon = spec.avoidance.obstacles
     obstacles = Obstacles(
-        agents, frame, ground, colliders, spec.doors, edge, horizon, door_ends
+        agents,
+        ground_frame,
+        ground,
+        colliders,
+        spec.doors,
+        edge_grid,
+        horizon,
+        door_ends,
     )
     return steering, obstacles
 
@@ -115,7 +124,7 @@ def _build_steering(
 def _build_bodies(
     spec: CrowdsModel,
     agents: Agents,
-    frame: GroundFrame,
+    ground_frame: GroundFrame,
     ground: Terrain,
     context: SimContext,
 ) -> tuple[AgentCast | None, FallSimulator | None]:
@@ -135,16 +144,16 @@ def _build_bodies(
     if not (has_moving_colliders and can_fall and len(agents)):
         return cast, None
     fall_simulator = FallSimulator(
-        cast.rigs, agents.sizes, frame, ground, colliders, spec.step
+        cast.rigs, agents.sizes, ground_frame, ground, colliders, spec.step
     )
     return cast, fall_simulator
 
 
 def _project_on_ground(
-    frame: GroundFrame, points: Sequence[Sequence[float]]
+    ground_frame: GroundFrame, points: Sequence[Sequence[float]]
 ) -> FloatArray:
     """Return the (x, z) ground positions of world points ``(K, 2)``."""
-    return frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]
+    return ground_frame.to_local(np.array(points, float).reshape(-1, 3))[:, [0, 2]]
 
 
 def clear_starts(
@@ -155,19 +164,19 @@ def clear_starts(
     count = len(agents)
     if grid is not None and count and grid.is_free.any():
         is_off_grid = is_blocked(grid, positions)
-        nodes = grid.node_positions(grid.nearest_free_node(positions))
-        positions = np.where(is_off_grid[:, None], nodes, positions)
+        node_points = grid.node_positions(grid.nearest_free_node(positions))
+        positions = np.where(is_off_grid[:, None], node_points, positions)
     max_radius = float(agents.radii.max(initial=1.0))
     for _ in range(MAX_CLEARING_PASSES):
         walls = obstacles.walls(begin, 0.0, positions)
         if not (walls.gaps < 0).any() and (positions == agents.start_points).all():
             break
-        previous = positions
+        previous_positions = positions
         positions, _ = separate_agents(
             agents, positions, walls.first_walls, walls.half_planes
         )
         if (
-            np.abs(positions - previous).max(initial=0.0)
+            np.abs(positions - previous_positions).max(initial=0.0)
             <= OVERLAP_TOLERANCE * max_radius
         ):
             break
@@ -207,7 +216,7 @@ def _goal_obstacle(
 def _nearest_reachable(
     grid: NavGrid, position: FloatArray, components: IntArray
 ) -> FloatArray:
-    """Return the (x, z) point ``(2,)`` of the components' node nearest to a goal."""
+    """Return the (x, z) point ``(2,)`` nearest to a goal among nodes of components."""
     node_indices = np.flatnonzero(np.isin(grid.components.ravel(), components))
     if not len(node_indices):
         node_indices = grid.nearest_free_node(position)
@@ -234,9 +243,9 @@ def unreachable_goal_warnings(
         obstacle = _goal_obstacle(obstacles, grid, position, begin)
         if obstacle is not None:
             problem, hint = obstacle
-            nearest = _nearest_reachable(grid, position, start_components)
+            nearest_point = _nearest_reachable(grid, position, start_components)
             message = f"the goal {goal.name!r} is {problem}: agents go to "
-            message += f"{obstacles.world_text(nearest)} instead"
+            message += f"{obstacles.world_text(nearest_point)} instead"
             location = f"goals[{goal_index}].at"
             faults.append(warning("SIM146", message, hint, location))
             continue
@@ -253,9 +262,11 @@ def unreachable_goal_warnings(
     return faults
 
 
-def project_direction(frame: GroundFrame, direction: Sequence[float]) -> FloatArray:
+def project_direction(
+    ground_frame: GroundFrame, direction: Sequence[float]
+) -> FloatArray:
     """Return a world direction projected on the ground, normalized ``(2,)``."""
-    ground_direction = frame.vector_to_local(np.array(direction, float))[[0, 2]]
+    ground_direction = ground_frame.vector_to_local(np.array(direction, float))[[0, 2]]
     length = float(np.linalg.norm(ground_direction))
     if not length > 0:
         message = "the direction of a queue is vertical"
@@ -273,19 +284,19 @@ def read_ground(context: SimContext) -> tuple[GroundFrame, Terrain]:
         message = "the ground cannot move"
         refuse("SIM145", message, "ground", "remove moves and turns")
     pose = poses.at(context.begin)
-    frame = GroundFrame(pose[:3], pose[3:])
+    ground_frame = GroundFrame(pose[:3], pose[3:])
     if shape is not None and mesh is not None:
         message = "the ground is either a shape or a mesh of a file"
         refuse("SIM145", message, "ground", "remove one of them")
     if mesh is not None:
         surface = mesh()[0]
         corners = triangulate(surface.counts, surface.indices)
-        return frame, Terrain(surface.points[corners])
+        return ground_frame, Terrain(surface.points[corners])
     if shape is None:
-        return frame, Terrain()
+        return ground_frame, Terrain()
     if not isinstance(shape, Mesh):
         message = "the ground must be a mesh, a height_field or, without a shape, a "
         message += "plane"
         refuse("SIM145", message, "ground", "shape: {height_field: {...}}")
     points, faces = shape.weld()
-    return frame, Terrain(points[faces])
+    return ground_frame, Terrain(points[faces])

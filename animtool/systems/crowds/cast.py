@@ -123,26 +123,28 @@ class AgentCast:
         self,
         state: BodyState,
         motion: AgentMotion,
-        frame: GroundFrame,
+        ground_frame: GroundFrame,
         ground: GroundSampler,
         agent: int,
     ) -> WorldTransforms:
         """Return the world transforms of an agent's joints, as one frame."""
         group = next(group for group in self.groups if agent in group.agents)
-        row, rig = np.array([agent]), group.cast.rig
-        scales = group.bodies.scales[np.searchsorted(group.agents, row)]
+        agent_indices, rig = np.array([agent]), group.cast.rig
+        scales = group.bodies.scales[np.searchsorted(group.agents, agent_indices)]
         bodies = replace(group.bodies, scales=scales)
-        poses = body_poses(bodies, state.select(row), motion.select(row))
+        poses = body_poses(
+            bodies, state.select(agent_indices), motion.select(agent_indices)
+        )
         positions = np.repeat(rig.rest_translations[None], 1, axis=0)
         positions[:, 0] = poses.roots
         world = forward_kinematics(rig, positions, poses.rotations)
-        heading = rotations_about_y(motion.headings[row])
-        rotation = so3.multiply(frame.rotation, heading)
-        heights, _ = sample_ground(ground, motion.points[row])
-        origin = np.insert(motion.points[row], 1, heights, axis=1)
+        heading = rotations_about_y(motion.headings[agent_indices])
+        rotation = so3.multiply(ground_frame.rotation, heading)
+        heights, _ = sample_ground(ground, motion.points[agent_indices])
+        origin = np.insert(motion.points[agent_indices], 1, heights, axis=1)
         matrix = so3.to_matrix(rotation)
         positions = so3.rotate(rotation, scales[:, None, None] * world.positions)
-        positions = positions + frame.to_world(origin)[:, None]
+        positions = positions + ground_frame.to_world(origin)[:, None]
         return WorldTransforms(positions, matrix[:, None] @ world.linear)
 
     def frame(
@@ -162,7 +164,7 @@ class AgentCast:
         Visibility and primvars have a value for each agent. Local translations and
         rotations of fallen agents are by index; those of the root are in world space.
         """
-        frame, velocities = placement
+        ground_frame, velocities = placement
         rotations, roots = [], []
         points = np.column_stack([motion.points[:, 0], heights, motion.points[:, 1]])
         for group in self.groups:
@@ -171,11 +173,13 @@ class AgentCast:
             for i, (positions, fallen_rotations) in fallen_poses.items():
                 for row in np.flatnonzero(agents == i).tolist():
                     heading = rotations_about_y(motion.headings[i])
-                    to_ground = so3.conjugate(so3.multiply(frame.rotation, heading))
+                    to_ground = so3.conjugate(
+                        so3.multiply(ground_frame.rotation, heading)
+                    )
                     root_rotation = so3.multiply(to_ground, fallen_rotations[0])
                     poses.rotations[row] = fallen_rotations
                     poses.rotations[row, 0] = root_rotation
-                    offset = positions[0] - frame.to_world(points[i])
+                    offset = positions[0] - ground_frame.to_world(points[i])
                     root = so3.rotate(to_ground, offset)
                     poses.roots[row] = root / bodies.scales[row]
             rotations.append(poses.rotations[:, group.cast.animated])
@@ -190,9 +194,9 @@ class AgentCast:
         is_planted = is_near_ground & (state.swings < 0)
         return CharactersFrame(
             order,
-            frame.to_world(points)[order],
+            ground_frame.to_world(points)[order],
             velocities[order],
-            frame.rotation,
+            ground_frame.rotation,
             motion.headings[order],
             np.concatenate([group.bodies.scales for group in self.groups]),
             tuple(group.cast for group in self.groups),
@@ -215,8 +219,8 @@ def _build_cast(bodies: AgentBodies, *, can_fall: bool) -> Cast:
     clocks: FloatArray = np.arange(count, dtype=np.float64) * (period / count)
     motion = AgentMotion(np.zeros((count, 2)), np.zeros((count, 2)), np.zeros(count))
     level_bodies = replace(bodies, scales=np.ones(count), ground=Terrain())
-    initial = level_bodies.initial_state(motion, np.zeros(count))
-    poses = body_poses(level_bodies, replace(initial, clocks=clocks), motion)
+    standing_state = level_bodies.initial_state(motion, np.zeros(count))
+    poses = body_poses(level_bodies, replace(standing_state, clocks=clocks), motion)
     animated_joints = bodies.animated_joints
     if can_fall:
         capsules = JointCapsules.from_rig(gaits.walker.rig)

@@ -131,8 +131,8 @@ class Crowd:
         preferred_velocities = self.steering.preferred_velocities(
             t, self.begin, state.progress, x
         )
-        fractions = -np.expm1(-dt / self._relaxation_times)[:, None]
-        relaxed_velocities = v + (preferred_velocities - v) * fractions
+        relaxation_fractions = -np.expm1(-dt / self._relaxation_times)[:, None]
+        relaxed_velocities = v + (preferred_velocities - v) * relaxation_fractions
         walls = self.obstacles.walls(t, dt, x)
         has_fallen = np.zeros(len(x), np.bool_)
         if state.falls is not None:
@@ -163,14 +163,14 @@ class Crowd:
                 agent_motion(state),
                 AgentMotion(points, velocities, headings),
             )
-            speeds = self._impact_speeds(walls, dt)
-            is_hit = speeds > self.spec.impact.stagger
+            impact_speeds = self._impact_speeds(walls, dt)
+            is_hit = impact_speeds > self.spec.impact.stagger
             bodies = self.cast.advance(bodies, before, after, dt, is_hit)
             shoulder_targets = np.where(is_hit, 0.0, shoulder_targets)
             shoulders = step_shoulders(shoulders, shoulder_targets, dt)
             bodies = replace(bodies, shoulders=shoulders)
             if self.fall_simulator is not None and falls is not None:
-                is_falling = (speeds > self.spec.impact.fall) & ~has_fallen
+                is_falling = (impact_speeds > self.spec.impact.fall) & ~has_fallen
                 falling_agents = np.flatnonzero(is_falling)
                 if len(falling_agents):
                     falls = self._add_falls(state, falls, falling_agents, dt)
@@ -257,14 +257,18 @@ class Crowd:
         x, v = state.points[ids], state.velocities[ids]
         heights, normals = sample_ground(self.ground, x)
         # Velocities are along the ground.
-        rise = -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
-        frame = self.ground_frame
-        points = frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
-        velocities = frame.vector_to_world(np.column_stack([v[:, 0], rise, v[:, 1]]))
+        vertical_speeds = (
+            -(normals[:, 0] * v[:, 0] + normals[:, 2] * v[:, 1]) / normals[:, 1]
+        )
+        ground_frame = self.ground_frame
+        points = ground_frame.to_world(np.column_stack([x[:, 0], heights, x[:, 1]]))
+        velocities = ground_frame.vector_to_world(
+            np.column_stack([v[:, 0], vertical_speeds, v[:, 1]])
+        )
         entry_indices = agents.entry_indices[ids]
         primvars = {"population": entry_indices} if len(agents.entries) > 1 else {}
         if self.cast is not None and state.bodies is not None:
-            placement = frame, velocities
+            placement = ground_frame, velocities
             return self.cast.frame(
                 state.bodies,
                 agent_motion(state),
@@ -282,7 +286,8 @@ class Crowd:
             points,
             velocities,
             so3.multiply(
-                np.broadcast_to(frame.rotation, yaw_rotations.shape), yaw_rotations
+                np.broadcast_to(ground_frame.rotation, yaw_rotations.shape),
+                yaw_rotations,
             ),
             np.zeros((len(ids), 3)),
             np.ones((len(ids), 3)),
@@ -318,7 +323,7 @@ class Crowd:
 
 def _check_finite(t: float, *arrays: FloatArray) -> None:
     """Raise SIM102 if a number is not finite."""
-    if not all(np.isfinite(values).all() for values in arrays):
+    if not all(np.isfinite(array).all() for array in arrays):
         message = f"agents blew up at {t:g} s"
         raise ToleranceError(Fault("SIM102", message, hint="use shorter steps"))
 

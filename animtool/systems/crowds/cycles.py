@@ -48,11 +48,11 @@ CYCLE_REPEATS = 3
 def build_gaits(rig: Rig, takes: Sequence[tuple[str, Take]]) -> Gaits:
     """Return the gaits of a rig from takes, which are given with their names."""
     walker = Walker.from_rig(rig)
-    gaits: dict[str, list[Gait]] = {"moves": [], "stands": [], "reacts": []}
+    gaits_by_kind: dict[str, list[Gait]] = {"moves": [], "stands": [], "reacts": []}
     for name, take in takes:
         kind, gait = _build_gait(walker, name, take)
-        gaits[kind].append(gait)
-    moving_gaits, idle_gaits, reactions = gaits.values()
+        gaits_by_kind[kind].append(gait)
+    moving_gaits, idle_gaits, reactions = gaits_by_kind.values()
     notices = []
     if not moving_gaits:
         message = "none of the clips walks: add one that moves ahead in even steps"
@@ -150,12 +150,12 @@ class CyclePath:
 
 def _arc_integrals(heading: float, yaw_rate: float, frames: FloatArray) -> FloatArray:
     """Return matrices ``(K, 2, 2)`` that integrate a velocity in a rotating frame."""
-    end = heading + yaw_rate * frames
+    end_headings = heading + yaw_rate * frames
     if abs(yaw_rate) < 1e-9:
         cosine, sine = np.cos(heading) * frames, np.sin(heading) * frames
     else:
-        cosine = (np.sin(end) - np.sin(heading)) / yaw_rate
-        sine = (np.cos(heading) - np.cos(end)) / yaw_rate
+        cosine = (np.sin(end_headings) - np.sin(heading)) / yaw_rate
+        sine = (np.cos(heading) - np.cos(end_headings)) / yaw_rate
     x_row, z_row = np.stack([cosine, sine], -1), np.stack([-sine, cosine], -1)
     return np.stack([x_row, z_row], axis=-2)
 
@@ -287,8 +287,11 @@ def _build_step(
 
 def _interpolate(rotations: FloatArray, frames: FloatArray) -> FloatArray:
     """Return rotations ``(F, …, 4)`` interpolated at fractional frames ``(K,)``."""
-    values = sample_rows(rotations, frames)
-    return np.asarray(values / np.linalg.norm(values, axis=-1, keepdims=True))
+    interpolated_rotations = sample_rows(rotations, frames)
+    return np.asarray(
+        interpolated_rotations
+        / np.linalg.norm(interpolated_rotations, axis=-1, keepdims=True)
+    )
 
 
 def _clip_gait(walker: Walker, name: str, take: Take, world: WorldTransforms) -> Gait:

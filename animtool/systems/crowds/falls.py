@@ -76,13 +76,13 @@ class FallSimulator:
         self,
         rigs: Sequence[Rig],
         sizes: FloatArray,
-        frame: GroundFrame,
+        ground_frame: GroundFrame,
         ground: Terrain,
         colliders: Colliders,
         step: float,
     ) -> None:
         self._rigs, self._sizes = rigs, sizes
-        self._up = frame.vector_to_world(np.array([0.0, 1.0, 0.0]))
+        self._up = ground_frame.vector_to_world(np.array([0.0, 1.0, 0.0]))
         shape: Plane | Mesh = Plane()
         if not ground.is_plane:
             upward_triangles = ground.triangles
@@ -94,7 +94,7 @@ class FallSimulator:
             ).reshape(-1, 3)
             faces = np.arange(len(corners)).reshape(-1, 3)
             shape = Mesh(corners, faces, closed=True)
-        poses = Poses.fixed(frame.origin, frame.rotation)
+        poses = Poses.fixed(ground_frame.origin, ground_frame.rotation)
         floor = Collider(shape, poses, name="ground", friction=0.8)
         self._colliders = Colliders([*colliders, floor], (), colliders.bodies)
         self._gravity = (-GRAVITY * self._up).tolist()

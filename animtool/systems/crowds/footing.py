@@ -85,8 +85,8 @@ class Footing:
         The foot lands on its side of the other foot.
         """
         side = 1 - 2 * foot_index
-        factors = np.stack([self.scales, self.scales, 0 * self.scales + 1], 1)
-        step = blend.steps[:, foot_index] * factors
+        scale_factors = np.stack([self.scales, self.scales, 0 * self.scales + 1], 1)
+        step = blend.steps[:, foot_index] * scale_factors
         other_foot = footholds[:, 1 - foot_index, :2] - points
         other_foot = rotate_about_y(other_foot, -headings)
         width = blend.steps[:, 0, 0] - blend.steps[:, 1, 0]
@@ -94,14 +94,18 @@ class Footing:
         is_too_close = side * (step[:, 0] - other_foot[:, 0]) < min_width
         # Another foot that is out of reach is no obstacle.
         is_too_close &= np.abs(other_foot[:, 0]) < 2 * min_width
-        x = np.where(is_too_close, other_foot[:, 0] + side * min_width, step[:, 0])
-        offsets = rotate_about_y(np.stack([x, step[:, 1]], axis=1), headings)
+        lateral_positions = np.where(
+            is_too_close, other_foot[:, 0] + side * min_width, step[:, 0]
+        )
+        offsets = rotate_about_y(
+            np.stack([lateral_positions, step[:, 1]], axis=1), headings
+        )
         return np.column_stack([points + offsets, headings + step[:, 2]])
 
     def standing_targets(self, motion: AgentMotion, blend: Blend) -> FloatArray:
         """Return the foot targets of standing bodies ``(N, 2, 3)``."""
-        factors = np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)
-        steps = blend.steps * factors[:, None]
+        scale_factors = np.stack([self.scales, 0 * self.scales, 0 * self.scales + 1], 1)
+        steps = blend.steps * scale_factors[:, None]
         offsets = rotate_about_y(steps[..., :2], motion.headings[:, None])
         yaws = motion.headings[:, None, None] + steps[..., 2:]
         return np.concatenate([motion.points[:, None] + offsets, yaws], axis=2)
@@ -112,9 +116,11 @@ class Footing:
         """Return a mask of the feet too far from their standing targets ``(N, 2)``."""
         offsets = state.places - self.standing_targets(motion, blend)
         distances = np.linalg.norm(offsets[..., :2], axis=2)
-        leg = self.gaits.walker.leg_length * self.scales[:, None]
+        leg_lengths = self.gaits.walker.leg_length * self.scales[:, None]
         yaws = np.abs(wrap_angles(offsets[..., 2]))
-        return np.asarray((distances > MAX_FOOT_OFFSET * leg) | (yaws > MAX_FOOT_YAW))
+        return np.asarray(
+            (distances > MAX_FOOT_OFFSET * leg_lengths) | (yaws > MAX_FOOT_YAW)
+        )
 
     def foot_poses(
         self, state: BodyState, motion: AgentMotion
@@ -135,8 +141,10 @@ class Footing:
             start, target = state.places[:, k], state.aims[:, k]
             stride = target - start
             footholds[is_swinging, k] = (start + fraction * stride)[is_swinging]
-            lengths = np.linalg.norm(stride[:, :2], axis=1)[:, None]
-            distances = (lengths * np.hstack([fraction, 1 - fraction])).min(axis=1)
+            stride_lengths = np.linalg.norm(stride[:, :2], axis=1)[:, None]
+            distances = (stride_lengths * np.hstack([fraction, 1 - fraction])).min(
+                axis=1
+            )
             foothold_distances[:, k] = np.where(is_swinging, distances, 0.0)
             start_height, start_normal = sample_ground(self.ground, start[:, :2])
             target_height, target_normal = sample_ground(self.ground, target[:, :2])
@@ -150,12 +158,12 @@ class Footing:
         foothold_distances /= self.scales[:, None]
         detours = self._avoid_planted_feet(state, motion, footholds)
         foothold_distances += detours / self.scales[:, None]
-        to_body = -motion.headings[:, None]
+        to_body_angles = -motion.headings[:, None]
         offsets = footholds[..., :2] - motion.points[:, None]
-        offsets = rotate_about_y(offsets, to_body)
+        offsets = rotate_about_y(offsets, to_body_angles)
         feet[..., [0, 2]] = offsets / self.scales[:, None, None]
         feet[..., 3] = wrap_angles(footholds[..., 2] - motion.headings[:, None])
-        normals[..., [0, 2]] = rotate_about_y(normals[..., [0, 2]], to_body)
+        normals[..., [0, 2]] = rotate_about_y(normals[..., [0, 2]], to_body_angles)
         return feet, normals, foothold_distances
 
     def _avoid_planted_feet(
@@ -167,9 +175,9 @@ class Footing:
         """
         detours = np.zeros((len(footholds), 2))
         local_footholds = rotate_about_y(footholds[..., :2], -motion.headings[:, None])
-        leg = self.gaits.walker.leg_length
-        gap = PASSING_GAP * leg * self.scales
-        passing_range = PASSING_RANGE * leg * self.scales
+        leg_length = self.gaits.walker.leg_length
+        gap = PASSING_GAP * leg_length * self.scales
+        passing_range = PASSING_RANGE * leg_length * self.scales
         for k in range(2):
             side = 1 - 2 * k
             offset = local_footholds[:, k] - local_footholds[:, 1 - k]

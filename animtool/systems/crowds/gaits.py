@@ -79,9 +79,9 @@ def _rest_ground_height(skeleton: RoledSkeleton) -> float:
     This is the height of the lowest joint or bone end, such as a toe.
     """
     ends = [
-        skeleton.positions[joint] + so3.rotate(skeleton.rotations[joint], np.array(tip))
-        for joint, settings in enumerate(skeleton.rig.joints)
-        for tip in settings.tips
+        skeleton.positions[i] + so3.rotate(skeleton.rotations[i], np.array(tip))
+        for i, joint in enumerate(skeleton.rig.joints)
+        for tip in joint.tips
     ]
     return float(np.vstack([skeleton.positions, *ends])[:, 1].min())
 
@@ -155,11 +155,11 @@ def standing_ankle(walker: Walker, foot_index: int, pitches: FloatArray) -> Floa
     return np.where(pitches[..., :1] > 0, on_ball, on_heel)
 
 
-def weighted_sum(values: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
+def weighted_sum(gait_values: Sequence[FloatArray], weights: FloatArray) -> FloatArray:
     """Return the sum of values of gaits ``(N, …)``, with weights ``(N, G)``."""
-    total = np.zeros_like(values[0])
-    for value, weight in zip(values, weights.T, strict=True):
-        total += weight.reshape(-1, *[1] * (total.ndim - 1)) * value
+    total = np.zeros_like(gait_values[0])
+    for gait_value, weight in zip(gait_values, weights.T, strict=True):
+        total += weight.reshape(-1, *[1] * (total.ndim - 1)) * gait_value
     return total
 
 

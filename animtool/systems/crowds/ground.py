@@ -180,8 +180,8 @@ class Terrain:
 
     def _candidate_pairs(self, points: FloatArray) -> tuple[IntArray, IntArray]:
         """Return pairs of points and triangles that may overlap seen from above."""
-        low, size, counts, faces, start_indices = self._grid
-        grid_points = (points - low) / size
+        low, cell_size, counts, faces, start_indices = self._grid
+        grid_points = (points - low) / cell_size
         is_inside = np.all(grid_points >= -EDGE_TOLERANCE, axis=1)
         is_inside &= np.all(grid_points <= counts + EDGE_TOLERANCE, axis=1)
         cells = np.where(is_inside[:, None], grid_points, 0).astype(np.int64)
@@ -195,7 +195,7 @@ class Terrain:
 
 
 def _group_starts(counts: IntArray) -> IntArray:
-    """Return the first index of the group of each entry, for groups of these sizes."""
+    """Return the first index of each entry's group, given the sizes of the groups."""
     return np.repeat(np.cumsum(counts) - counts, counts)
 
 

@@ -59,7 +59,7 @@ class Obstacles:
     """All obstacles of a crowd: colliders, closed doors and the edge of the ground."""
 
     agents: Agents
-    frame: GroundFrame
+    ground_frame: GroundFrame
     ground: Terrain
     colliders: Colliders
     doors: Sequence[DoorModel] = ()
@@ -76,25 +76,31 @@ class Obstacles:
         count = len(x)
         if not obstacles:
             zeros = np.zeros(0)
-            starts = np.zeros(count + 1, np.int32)
-            return Walls(starts, np.zeros((0, 4)), zeros.astype(int), zeros, zeros)
+            first_walls = np.zeros(count + 1, np.int32)
+            return Walls(first_walls, np.zeros((0, 4)), zeros.astype(int), zeros, zeros)
         agents, max_speeds = self.agents, self.agents.max_speeds
-        walls_near = []
+        nearby_walls = []
         for gaps, directions, closing_speeds in obstacles:
             ranges = (max_speeds + np.abs(closing_speeds)) * self.horizon
             i = np.flatnonzero(gaps < np.maximum(ranges, agents.radii))
             columns = i, gaps[i], directions[i], closing_speeds[i]
-            walls_near.append(columns)
-        walls = [np.concatenate(arrays) for arrays in zip(*walls_near, strict=True)]
-        order = np.argsort(walls[0], kind="stable")
-        agents_of_walls, gaps, directions, closing_speeds = (c[order] for c in walls)
+            nearby_walls.append(columns)
+        wall_columns = [
+            np.concatenate(arrays) for arrays in zip(*nearby_walls, strict=True)
+        ]
+        order = np.argsort(wall_columns[0], kind="stable")
+        agents_of_walls, gaps, directions, closing_speeds = (
+            c[order] for c in wall_columns
+        )
         leaving_speeds = LEAVING_SPEED * max_speeds[agents_of_walls]
         min_speeds = np.minimum(closing_speeds - gaps / self.horizon, leaving_speeds)
         positions = (directions * x[agents_of_walls]).sum(axis=1)
         offsets = positions - gaps + closing_speeds * dt
         wall_rows = np.column_stack([directions, min_speeds, offsets])
-        starts = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(np.int32)
-        return Walls(starts, wall_rows, agents_of_walls, gaps, closing_speeds)
+        first_walls = np.searchsorted(agents_of_walls, np.arange(count + 1)).astype(
+            np.int32
+        )
+        return Walls(first_walls, wall_rows, agents_of_walls, gaps, closing_speeds)
 
     def _collider_gaps(self, t: float, dt: float, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of all colliders."""
@@ -105,7 +111,14 @@ class Obstacles:
         return [
             (distances - radii, directions, speeds)
             for distances, directions, speeds in capsule_distances(
-                self.colliders, self.frame, x, base_heights, radii, body_heights, t, dt
+                self.colliders,
+                self.ground_frame,
+                x,
+                base_heights,
+                radii,
+                body_heights,
+                t,
+                dt,
             )
         ]
 
@@ -123,7 +136,7 @@ class Obstacles:
         points = np.array([[x, y, z] for y in (low, (low + high) / 2, high)])
         if not len(self.colliders):
             return np.zeros(0)
-        samples = self.colliders.sample(self.frame.to_world(points), t, t)
+        samples = self.colliders.sample(self.ground_frame.to_world(points), t, t)
         depths = -samples.distances[: len(self.colliders)].min(axis=1)
         is_fixed = [collider.poses.is_fixed for collider in self.colliders]
         return np.where(is_fixed, depths, -np.inf)
@@ -131,12 +144,12 @@ class Obstacles:
     def world_text(self, x: FloatArray) -> str:
         """Return the ground position of an (x, z) point ``(2,)`` as text."""
         height = float(sample_ground(self.ground, x[None])[0][0])
-        point = self.frame.to_world(np.array([[x[0], height, x[1]]]))[0]
+        point = self.ground_frame.to_world(np.array([[x[0], height, x[1]]]))[0]
         return f"{vector_text(point)} m"
 
     def _door_gaps(self, t: float, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of closed doors."""
-        doors = []
+        door_gaps = []
         for door, (a, b) in zip(self.doors, self.door_ends, strict=True):
             if any(first <= t < last for first, last in door.opens):
                 continue
@@ -146,8 +159,10 @@ class Obstacles:
             offsets = x - a - fraction[:, None] * door_vector
             distances = np.linalg.norm(offsets, axis=1)
             directions = offsets / np.where(distances > 0, distances, 1.0)[:, None]
-            doors.append((distances - self.agents.radii, directions, np.zeros(len(x))))
-        return doors
+            door_gaps.append(
+                (distances - self.agents.radii, directions, np.zeros(len(x)))
+            )
+        return door_gaps
 
     def _edge_gaps(self, x: FloatArray) -> list[AgentGaps]:
         """Return the gaps of the edge of the ground."""
@@ -159,7 +174,7 @@ class Obstacles:
 
 def capsule_distances(
     colliders: Colliders,
-    frame: GroundFrame,
+    ground_frame: GroundFrame,
     x: FloatArray,
     base_heights: FloatArray,
     radii: FloatArray,
@@ -177,20 +192,22 @@ def capsule_distances(
     count = len(x)
     lows = base_heights + radii
     highs = base_heights + np.maximum(body_heights - radii, radii)
-    levels = [lows, (lows + highs) / 2, highs]
-    points = np.concatenate([np.column_stack([x[:, 0], y, x[:, 1]]) for y in levels])
-    samples = colliders.sample(frame.to_world(points), t, t + dt)
+    level_heights = [lows, (lows + highs) / 2, highs]
+    points = np.concatenate(
+        [np.column_stack([x[:, 0], y, x[:, 1]]) for y in level_heights]
+    )
+    samples = colliders.sample(ground_frame.to_world(points), t, t + dt)
     capsule_gaps = []
     for distances, outwards, velocities in zip(
         samples.distances, samples.normals, samples.velocities, strict=True
     ):
-        normals = frame.vector_to_local(outwards)[:, [0, 2]]
-        speeds = frame.vector_to_local(velocities)[:, [0, 2]]
+        normals = ground_frame.vector_to_local(outwards)[:, [0, 2]]
+        speeds = ground_frame.vector_to_local(velocities)[:, [0, 2]]
         lengths = np.linalg.norm(normals, axis=1)
         is_wall = lengths > MIN_WALL_NORMAL
         divisors = np.where(is_wall, lengths, 1.0)
         wall_distances = np.where(is_wall, distances / divisors, np.inf)
-        wall_distances = wall_distances.reshape(len(levels), count)
+        wall_distances = wall_distances.reshape(len(level_heights), count)
         nearest = np.argmin(wall_distances, axis=0) * count + np.arange(count)
         directions = normals[nearest] / divisors[nearest, None]
         closing_speeds = (speeds[nearest] * directions).sum(axis=1)
@@ -202,7 +219,7 @@ def capsule_distances(
 def navigation_grids(
     spec: CrowdsModel,
     agents: Agents,
-    frame: GroundFrame,
+    ground_frame: GroundFrame,
     ground: Terrain,
     colliders: Colliders,
     goals: FloatArray,
@@ -231,17 +248,17 @@ def navigation_grids(
     cell_size = spec.cell or radius
     if ground.is_plane and np.prod((high - low) / cell_size) > MAX_NODES:
         low, high = _obstacle_bounds(
-            static_obstacles, frame, low, high, GRID_MARGIN_RADII * radius
+            static_obstacles, ground_frame, low, high, GRID_MARGIN_RADII * radius
         )
         if not (low < high).all():
             return None, None
-    cell = max(cell_size, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
-    rows, columns = (np.floor((high - low) / cell).astype(int) + 1).tolist()
+    node_spacing = max(cell_size, float(np.sqrt(np.prod(high - low) / MAX_NODES)))
+    rows, columns = (np.floor((high - low) / node_spacing).astype(int) + 1).tolist()
     shape = rows, columns
-    nodes = NavGrid.all_positions(low, cell, shape)
+    nodes = NavGrid.all_positions(low, node_spacing, shape)
     max_slope = np.radians(spec.ground.slope)
     ground_heights, has_ground = find_walkable_nodes(
-        ground, nodes, shape, cell, max_slope
+        ground, nodes, shape, node_spacing, max_slope
     )
     is_free = has_ground.ravel().copy()
     if static_obstacles:
@@ -252,20 +269,20 @@ def navigation_grids(
             block = free_nodes[first : first + SAMPLE_BLOCK]
             ones, is_clear = np.ones(len(block)), np.ones(len(block), bool)
             for distances, _, _ in capsule_distances(
-                static_colliders, frame, nodes[block], heights[block],
+                static_colliders, ground_frame, nodes[block], heights[block],
                 radius * ones, max_height * ones, t, 0.0,
             ):  # fmt: skip
                 # Gaps narrower than an agent are blocked.
-                is_clear &= distances >= radius - cell / 2
+                is_clear &= distances >= radius - node_spacing / 2
             is_free[block] = is_clear
     is_endless = ground.is_plane and has_ground.all()
-    edge_grid = None if is_endless else NavGrid(low, cell, has_ground)
-    return NavGrid(low, cell, is_free.reshape(shape)), edge_grid
+    edge_grid = None if is_endless else NavGrid(low, node_spacing, has_ground)
+    return NavGrid(low, node_spacing, is_free.reshape(shape)), edge_grid
 
 
 def _obstacle_bounds(
     static_obstacles: Sequence[Collider],
-    frame: GroundFrame,
+    ground_frame: GroundFrame,
     low: FloatArray,
     high: FloatArray,
     margin: float,
@@ -279,13 +296,17 @@ def _obstacle_bounds(
         if isinstance(collider.shape, Plane):
             normal = np.array(collider.shape.normal, float)
             normal = so3.rotate(collider.poses.rows[0, 3:], normal)
-            horizontal = frame.vector_to_local(normal)[[0, 2]]
+            horizontal = ground_frame.vector_to_local(normal)[[0, 2]]
             if np.linalg.norm(horizontal) > MIN_WALL_NORMAL * np.linalg.norm(normal):
                 return low, high
             continue
         span = shape_bounds(collider.shape)
-        box = np.array([span[list(corner), range(3)] for corner in np.ndindex(2, 2, 2)])
-        corners = frame.to_local(collider.poses.to_world(box)[0])[:, [0, 2]]
+        box_corners = np.array(
+            [span[list(corner), range(3)] for corner in np.ndindex(2, 2, 2)]
+        )
+        corners = ground_frame.to_local(collider.poses.to_world(box_corners)[0])[
+            :, [0, 2]
+        ]
         obstacle_low = np.minimum(obstacle_low, corners.min(axis=0))
         obstacle_high = np.maximum(obstacle_high, corners.max(axis=0))
     low = np.maximum(low, obstacle_low - margin)

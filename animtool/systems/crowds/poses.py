@@ -135,11 +135,11 @@ def _hip_lowering(
     for k, (thigh, shin, foot, _) in enumerate(walker.legs):
         leg_joints = joints[:, [thigh, shin, foot]]
         length = np.linalg.norm(np.diff(leg_joints, axis=1), axis=2).sum(axis=1)
-        leg = joints[:, thigh] - goals[:, k]
-        max_height = reach_across(length, (leg[:, [0, 2]] ** 2).sum(axis=1))
+        leg_vectors = joints[:, thigh] - goals[:, k]
+        max_height = reach_across(length, (leg_vectors[:, [0, 2]] ** 2).sum(axis=1))
         end_weight = np.abs(2 * state.swings[:, k] - 1) - 1 + 2 * LOWERING_PHASE
         end_weight = np.clip(end_weight / (2 * LOWERING_PHASE), 0.0, 1.0)
-        required_lowering = leg[:, 1] - max_height
+        required_lowering = leg_vectors[:, 1] - max_height
         swing_lowering = swing_progress(end_weight) * required_lowering
         max_lowering = state.lowered + SWING_MARGIN * walker.leg_length
         swing_lowering = np.minimum(swing_lowering, max_lowering)
@@ -156,16 +156,16 @@ def _move_into_reach(
 
     Feet that are moved towards the hips are also raised.
     """
-    result = goals.copy()
+    reachable_goals = goals.copy()
     for k, (thigh, *_) in enumerate(walker.legs):
-        leg = goals[:, k] - joints[:, thigh]
-        distances = np.linalg.norm(leg[:, [0, 2]], axis=1)
-        reach = reach_across(walker.leg_length, leg[:, 1] ** 2)
+        leg_vectors = goals[:, k] - joints[:, thigh]
+        distances = np.linalg.norm(leg_vectors[:, [0, 2]], axis=1)
+        reach = reach_across(walker.leg_length, leg_vectors[:, 1] ** 2)
         overreach = np.maximum(distances - reach, 0.0) * is_swinging[:, k]
         excess = overreach / np.maximum(distances, 1e-9)
-        result[:, k, [0, 2]] -= excess[:, None] * leg[:, [0, 2]]
-        result[:, k, 1] += min_sole_height(overreach)
-    return result
+        reachable_goals[:, k, [0, 2]] -= excess[:, None] * leg_vectors[:, [0, 2]]
+        reachable_goals[:, k, 1] += min_sole_height(overreach)
+    return reachable_goals
 
 
 def min_sole_height(distances: FloatArray) -> FloatArray:
@@ -185,9 +185,9 @@ def _ankle_targets(
     gaits = bodies.gaits
     goals, soles = np.zeros((*feet.shape[:2], 3)), np.zeros(feet.shape)
     for k in range(2):
-        begin = (state.phases - 0.5 * k) % 1.0
+        stance_phases = (state.phases - 0.5 * k) % 1.0
         foot_rotations = rotations_about_x(
-            bodies.heel_pitches(k, begin, blend, state.still)
+            bodies.heel_pitches(k, stance_phases, blend, state.still)
         )
         ankle_offsets = standing_ankle(gaits.walker, k, foot_rotations)
         is_swinging = state.swings[:, k] >= 0
@@ -322,8 +322,10 @@ def _gait_rotations(
 ) -> tuple[FloatArray, FloatArray]:
     """Return rotations of animated joints ``(N, M, 4)``, and hip positions."""
     gaits, frames = bodies.gaits, state.phases * PHASE_COUNT
-    tables, idle_table = bodies.animated_rotations
-    gait_rotations = [sample_rows(table, frames, is_cyclic=True) for table in tables]
+    gait_tables, idle_table = bodies.animated_rotations
+    gait_rotations = [
+        sample_rows(table, frames, is_cyclic=True) for table in gait_tables
+    ]
     walk_rotations = _blend_rotations(gait_rotations, blend.weights)
     gait_hips = [
         sample_rows(gait.hips, frames, is_cyclic=True) for gait in gaits.cycles

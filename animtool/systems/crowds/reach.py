@@ -49,18 +49,20 @@ class LegReach:
     @staticmethod
     def from_gaits(gaits: Gaits) -> LegReach:
         """Return the leg reach of the rig of the given gaits."""
-        tables = tuple(_gait_thighs(gaits, gait) for gait in gaits.cycles)
-        return LegReach(gaits, tables, _gait_thighs(gaits, gaits.idle).mean(axis=0))
+        thigh_tables = tuple(_gait_thighs(gaits, gait) for gait in gaits.cycles)
+        return LegReach(
+            gaits, thigh_tables, _gait_thighs(gaits, gaits.idle).mean(axis=0)
+        )
 
     def thighs(
         self, phases: FloatArray, weights: FloatArray, standing_weights: FloatArray
     ) -> FloatArray:
         """Return the thigh positions of bodies above level ground ``(N, 2, 3)``."""
         frames = phases * PHASE_COUNT
-        tables = [
+        thigh_tables = [
             sample_rows(table, frames, is_cyclic=True) for table in self.gait_thighs
         ]
-        thighs = weighted_sum(tables, weights)
+        thighs = weighted_sum(thigh_tables, weights)
         offsets = standing_weights[:, None, None] * (self.standing_thighs - thighs)
         return np.asarray(thighs + offsets)
 
@@ -73,21 +75,23 @@ class LegReach:
         The leg ``foot_index`` (0 left, 1 right) has thigh joints ``(N, 3)``, and feet
         with x, y, z and heading ``(N, 4)`` and a heel pitch ``(N,)`` [rad].
         """
-        leg = self.gaits.walker.leg_length
+        leg_length = self.gaits.walker.leg_length
         to_ankle = self._ankle_vectors(foot_index, thighs, feet, pitches)
-        heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg, 0.0)
+        heights = np.maximum(-to_ankle[:, 1] - MAX_STANCE_LOWERING * leg_length, 0.0)
         distances = np.linalg.norm(to_ankle[:, [0, 2]], axis=1)
         outwards = to_ankle[:, [0, 2]] / np.maximum(distances, 1e-9)[:, None]
-        return np.asarray(reach_across(leg, heights**2) - distances), outwards
+        return np.asarray(reach_across(leg_length, heights**2) - distances), outwards
 
     def hip_lowering(
         self, foot_index: int, thighs: FloatArray, feet: FloatArray, pitches: FloatArray
     ) -> FloatArray:
         """Return how far hips must be lowered for a planted foot ``(N,)`` [m]."""
-        leg = self.gaits.walker.leg_length
+        leg_length = self.gaits.walker.leg_length
         to_ankle = self._ankle_vectors(foot_index, thighs, feet, pitches)
-        max_height = reach_across(leg, (to_ankle[:, [0, 2]] ** 2).sum(axis=1))
-        lowerings = np.clip(-to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg)
+        max_height = reach_across(leg_length, (to_ankle[:, [0, 2]] ** 2).sum(axis=1))
+        lowerings = np.clip(
+            -to_ankle[:, 1] - max_height, 0.0, MAX_LOWERING * leg_length
+        )
         return np.asarray(lowerings)
 
     def _ankle_vectors(
@@ -101,12 +105,14 @@ class LegReach:
         return np.asarray(ankles - thighs)
 
 
-def reach_across(leg: FloatArray | float, squared_offset: FloatArray) -> FloatArray:
+def reach_across(
+    leg_length: FloatArray | float, squared_offset: FloatArray
+) -> FloatArray:
     """Return how far an extended leg reaches at right angles to an offset ``(N,)`` [m].
 
     The offset is given by its square; beyond the reach of the leg the result is 0.
     """
-    squared_reach = (MAX_EXTENSION * leg) ** 2 - squared_offset
+    squared_reach = (MAX_EXTENSION * leg_length) ** 2 - squared_offset
     return np.asarray(np.sqrt(np.maximum(squared_reach, 0.0)))
 
 

@@ -56,9 +56,9 @@ class NavGrid:
 
     def nearest_nodes(self, points: FloatArray) -> IntArray:
         """Return row and column of the node nearest to each (x, z) point ``(K, 2)``."""
-        last = np.array(self.is_free.shape) - 1
+        last_indices = np.array(self.is_free.shape) - 1
         indices = np.floor((points - self.low) / self.cell + 0.5)
-        return np.clip(indices, 0, last).astype(np.int64)
+        return np.clip(indices, 0, last_indices).astype(np.int64)
 
     @property
     def high(self) -> FloatArray:
@@ -74,11 +74,11 @@ class NavGrid:
         """Return the border nodes on the sides that face a point outside the grid."""
         indices = np.arange(self.is_free.size).reshape(self.is_free.shape)
         border = [np.zeros(0, np.int64)]
-        for axis, edges in enumerate((indices, indices.T)):
+        for axis, grid_rows in enumerate((indices, indices.T)):
             if point[axis] < self.low[axis] - self.cell:
-                border.append(edges[0])
+                border.append(grid_rows[0])
             if point[axis] > self.high[axis] + self.cell:
-                border.append(edges[-1])
+                border.append(grid_rows[-1])
         return np.unique(np.concatenate(border))
 
     def nearest_free_node(self, points: FloatArray) -> IntArray:
@@ -104,10 +104,14 @@ class NavGrid:
 
         Rows of the four nodes are ``(K, 2, 1)``, and columns ``(K, 1, 2)``.
         """
-        last = np.array(self.is_free.shape) - 1
-        coordinates = np.clip((points - self.low) / self.cell, 0, last)
-        lower_node = np.minimum(coordinates.astype(np.int64), np.maximum(last - 1, 0))
-        corner_indices = np.minimum(lower_node[:, None] + np.array([[0], [1]]), last)
+        last_indices = np.array(self.is_free.shape) - 1
+        coordinates = np.clip((points - self.low) / self.cell, 0, last_indices)
+        lower_node = np.minimum(
+            coordinates.astype(np.int64), np.maximum(last_indices - 1, 0)
+        )
+        corner_indices = np.minimum(
+            lower_node[:, None] + np.array([[0], [1]]), last_indices
+        )
         fraction = coordinates - lower_node
         axis_weights = np.stack([1 - fraction, fraction], axis=1)
         weights = axis_weights[:, :, None, 0] * axis_weights[:, None, :, 1]
@@ -152,11 +156,15 @@ class FlowField:
         for axis, (before, after) in enumerate(neighbours):
             lower_distances = np.minimum(before, after)
             is_descending = np.isfinite(distances) & (lower_distances < distances)
-            drop = np.zeros_like(distances)
-            np.subtract(distances, lower_distances, out=drop, where=is_descending)
-            descent[..., axis] = np.where(before < after, -drop, drop)
-        size = np.linalg.norm(descent, axis=2)[..., None]
-        return descent / np.where(size > 0, size, 1.0)
+            distance_drops = np.zeros_like(distances)
+            np.subtract(
+                distances, lower_distances, out=distance_drops, where=is_descending
+            )
+            descent[..., axis] = np.where(
+                before < after, -distance_drops, distance_drops
+            )
+        lengths = np.linalg.norm(descent, axis=2)[..., None]
+        return descent / np.where(lengths > 0, lengths, 1.0)
 
     def path_directions(self, points: FloatArray, targets: FloatArray) -> FloatArray:
         """Return unit vectors ``(K, 2)`` along the paths from (x, z) points.
@@ -174,13 +182,13 @@ class FlowField:
             free_nodes = grid.nearest_free_node(blocked_points)
             to_nodes = grid.node_positions(free_nodes) - blocked_points
             unit_vectors[is_undefined] = to_nodes
-        goal = self.path_ends(points)
-        offset = goal - points
+        goal_points = self.path_ends(points)
+        offset = goal_points - points
         distances = np.linalg.norm(offset, axis=1)
         row, column = grid.nearest_nodes(points).T
         # Outside the grid, visibility is that of the nearest node.
-        node = grid.node_positions(row * grid.is_free.shape[1] + column)
-        node_to_goal = np.linalg.norm(goal - node, axis=1)
+        node_points = grid.node_positions(row * grid.is_free.shape[1] + column)
+        node_to_goal = np.linalg.norm(goal_points - node_points, axis=1)
         is_outside = grid.border_distance(points) < 0
         straight_distance = np.maximum(distances, np.where(is_outside, node_to_goal, 0))
         max_distance = straight_distance + STRAIGHT_DETOUR * grid.cell
@@ -188,7 +196,7 @@ class FlowField:
         # Paths to a goal outside the grid end at its border, and go straight from
         # there.
         is_at_border = grid.border_distance(points) < grid.cell
-        is_near &= is_at_border | (grid.border_distance(goal) > -grid.cell)
+        is_near &= is_at_border | (grid.border_distance(goal_points) > -grid.cell)
         is_near[is_near] = self._has_line_of_sight(points[is_near], targets[is_near])
         unit_vectors[is_near] = (targets - points)[is_near]
         lengths = np.linalg.norm(unit_vectors, axis=1)[:, None]

@@ -105,7 +105,7 @@ class Trunk:
 
 def _ancestors(parents: IntArray, joint: int) -> list[int]:
     """Return the ancestors of a joint, root first."""
-    chain: list[int] = []
+    ancestors: list[int] = []
     while (joint := int(parents[joint])) >= 0:
-        chain.insert(0, joint)
-    return chain
+        ancestors.insert(0, joint)
+    return ancestors

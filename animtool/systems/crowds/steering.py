@@ -62,18 +62,20 @@ class Steering:
     def _route_plans(self) -> tuple[IntArray, IntArray, BoolArray, BoolArray]:
         """Each agent's goal indices, goal count, and whether it repeats or leaves."""
         populations = self.agents.entries
-        names = [goal.name for goal in self.goals]
-        counts = np.array([len(population.route) for population in populations])
-        table = np.full((len(populations), counts.max(initial=0) + 1), -1)
+        goal_names = [goal.name for goal in self.goals]
+        route_lengths = np.array([len(population.route) for population in populations])
+        route_table = np.full((len(populations), route_lengths.max(initial=0) + 1), -1)
         for i, population in enumerate(populations):
-            table[i, : counts[i]] = [names.index(name) for name in population.route]
+            route_table[i, : route_lengths[i]] = [
+                goal_names.index(name) for name in population.route
+            ]
         entry_indices = self.agents.entry_indices
         actions = np.array([population.then for population in populations])[
             entry_indices
         ]
         return (
-            table[entry_indices],
-            counts[entry_indices],
+            route_table[entry_indices],
+            route_lengths[entry_indices],
             actions == "repeat",
             actions == "leave",
         )
@@ -86,11 +88,13 @@ class Steering:
 
     def current_goals(self, progress: Progress) -> IntArray:
         """Return the current goal of each agent ``(N,)``; -1 if there is none."""
-        table, counts, is_repeating, _ = self._route_plans
+        route_table, route_lengths, is_repeating, _ = self._route_plans
         stages = progress.stages
-        loop_stages = stages % np.maximum(counts, 1)
-        route_index = np.where(is_repeating, loop_stages, np.minimum(stages, counts))
-        goal_indices = table[np.arange(len(stages)), np.maximum(route_index, 0)]
+        loop_stages = stages % np.maximum(route_lengths, 1)
+        route_index = np.where(
+            is_repeating, loop_stages, np.minimum(stages, route_lengths)
+        )
+        goal_indices = route_table[np.arange(len(stages)), np.maximum(route_index, 0)]
         return np.where(stages == DEPARTED_STAGE, -1, goal_indices)
 
     def targets(
@@ -129,9 +133,9 @@ class Steering:
         """Return each agent's reachable goal, its position without one ``(N, 2)``."""
         has_goal = (goal_indices >= 0)[:, None]
         positions = np.where(has_goal, self.goal_points[goal_indices], x)
-        for g, route in enumerate(self.flow_fields):
+        for g, goal_flow_field in enumerate(self.flow_fields):
             is_assigned = goal_indices == g
-            positions[is_assigned] = route.path_ends(x[is_assigned])
+            positions[is_assigned] = goal_flow_field.path_ends(x[is_assigned])
         return np.asarray(positions)
 
     def preferred_velocities(
@@ -144,10 +148,10 @@ class Steering:
         offset = target - x
         distances = np.linalg.norm(offset, axis=1)
         directions = offset / np.maximum(distances, np.finfo(float).tiny)[:, None]
-        for g, route in enumerate(self.flow_fields):
+        for g, goal_flow_field in enumerate(self.flow_fields):
             is_assigned = (goal_indices == g) & ~is_queued
             if is_assigned.any():
-                directions[is_assigned] = route.path_directions(
+                directions[is_assigned] = goal_flow_field.path_directions(
                     x[is_assigned], target[is_assigned]
                 )
         speeds = np.minimum(agents.speeds, distances / STOPPING_TIME)
@@ -156,8 +160,8 @@ class Steering:
         # Waiting agents make room for those behind, and stay.
         is_waiting = (progress.waited > 0) & ~is_queued
         if is_waiting.any():
-            radius = self._arrival_radii(goal_indices, progress.waited > 0)
-            inner_distances = np.maximum(distances - INNER_RADIUS * radius, 0.0)
+            arrival_radii = self._arrival_radii(goal_indices, progress.waited > 0)
+            inner_distances = np.maximum(distances - INNER_RADIUS * arrival_radii, 0.0)
             inward_speeds = inner_distances / STOPPING_TIME
             speeds = np.where(is_waiting, np.minimum(speeds, inward_speeds), speeds)
         velocities = directions * speeds[:, None]
@@ -196,21 +200,21 @@ class Steering:
         max_correction = CATCH_UP_SPEED * self.agents.speeds[member_indices, None]
         max_factors = max_correction / np.where(lengths > 0, lengths, 1.0)
         correction = correction * np.minimum(1.0, max_factors)
-        result = preferred_velocities.copy()
-        result[member_indices] = preferred_velocities[member_indices] + correction
-        return result
+        velocities = preferred_velocities.copy()
+        velocities[member_indices] = preferred_velocities[member_indices] + correction
+        return velocities
 
     def advance(self, progress: Progress, x: FloatArray, dt: float) -> Progress:
         """Return progress after a step [s], with agents at (x, z) points ``(N, 2)``."""
         if not len(self.goal_points):
             return progress
-        _, counts, is_repeating, is_leaving = self._route_plans
+        _, route_lengths, is_repeating, is_leaving = self._route_plans
         goal_indices = self.current_goals(progress)
         has_goal = goal_indices >= 0
         wait_times = np.array([goal.wait for goal in self.goals])[goal_indices]
         has_queue = np.array([goal.queue is not None for goal in self.goals])
         has_queue = has_queue[goal_indices]
-        radius = self._arrival_radii(goal_indices, progress.waited > 0)
+        arrival_radii = self._arrival_radii(goal_indices, progress.waited > 0)
         must_queue = has_goal & has_queue
         tickets = self._assign_tickets(progress.tickets, goal_indices, must_queue, x)
         queued_progress = replace(progress, tickets=tickets)
@@ -219,17 +223,17 @@ class Steering:
         offsets = self._reachable_goals(goal_indices, x) - x
         goal_distances = np.linalg.norm(offsets, axis=1)
         is_at_front = (target == self.goal_points[goal_indices]).all(axis=1)
-        is_served = is_queued & (target_distances <= radius) & is_at_front
-        has_arrived = np.where(has_queue, is_served, goal_distances <= radius)
+        is_served = is_queued & (target_distances <= arrival_radii) & is_at_front
+        has_arrived = np.where(has_queue, is_served, goal_distances <= arrival_radii)
         has_arrived &= has_goal
         waited = np.where(has_arrived | ((progress.waited > 0) & has_goal & ~has_queue),
                           progress.waited + dt, 0.0)  # fmt: skip
-        is_last = ~is_repeating & ~is_leaving & (progress.stages + 1 >= counts)
+        is_last = ~is_repeating & ~is_leaving & (progress.stages + 1 >= route_lengths)
         # Agents that stay at their last goal never pass it.
         has_passed = has_arrived & (waited >= wait_times) & ~(is_last & ~has_queue)
         stages = progress.stages + has_passed
         stages = np.where(
-            has_passed & is_leaving & (stages >= counts), DEPARTED_STAGE, stages
+            has_passed & is_leaving & (stages >= route_lengths), DEPARTED_STAGE, stages
         )
         return Progress(
             stages,
@@ -255,10 +259,10 @@ class Steering:
         x: FloatArray,
     ) -> IntArray:
         """Return tickets; agents at the end of a queue get new ones."""
-        result = tickets
+        new_tickets = tickets
         for g in np.unique(goal_indices[has_queue]).tolist():
             is_queuing = has_queue & (goal_indices == g)
-            is_waiting = is_queuing & (result != NO_TICKET)
+            is_waiting = is_queuing & (new_tickets != NO_TICKET)
             offset = self.queue_spacings[g]
             queue_end = self.goal_points[g] + int(is_waiting.sum()) * offset
             spacing = float(np.linalg.norm(offset))
@@ -267,9 +271,9 @@ class Steering:
             is_joining &= distances < JOINING_DISTANCE * spacing
             joining_indices = np.flatnonzero(is_joining)
             if len(joining_indices):
-                result = result.copy()
+                new_tickets = new_tickets.copy()
                 # The nearest comes first; equal ones in order.
                 order = np.argsort(distances[joining_indices], kind="stable")
                 order = joining_indices[order]
-                result[order] = result.max() + 1 + np.arange(len(order))
-        return result
+                new_tickets[order] = new_tickets.max() + 1 + np.arange(len(order))
+        return new_tickets

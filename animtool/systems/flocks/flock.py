@@ -229,13 +229,15 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     options = IntegrateOptions(spec.method, spec.step, spec.tolerance)
     integrator, colliders = checked_integrator(options), context.colliders
     if spec.domain is not None and not spec.domain.wrap:
-        walls = Collider(
+        domain_walls = Collider(
             Box(spec.domain.size),
             Poses.fixed(spec.domain.at),
             name="domain",
             container=True,
         )
-        colliders = Colliders([*colliders, walls], colliders.sheets, colliders.bodies)
+        colliders = Colliders(
+            [*colliders, domain_walls], colliders.sheets, colliders.bodies
+        )
     species_data = context.parts["species"]
     members = Members.from_spec(spec, species_data, context.begin)
     spacing = Spacing.for_members(members, spec.domain)
@@ -262,27 +264,29 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
     mesh_ranges = {None: (0, 0)}
     for source in dict.fromkeys(mesh_sources):
         if source is not None:
-            cycle = source()
-            mesh_ranges[source] = len(meshes), len(cycle)
-            meshes += cycle
-    ranges = np.array([mesh_ranges[source] for source in mesh_sources])
-    return Flock(system, options, notices, tuple(meshes), ranges)
+            cycle_meshes = source()
+            mesh_ranges[source] = len(meshes), len(cycle_meshes)
+            meshes += cycle_meshes
+    mesh_ranges_by_species = np.array([mesh_ranges[source] for source in mesh_sources])
+    return Flock(system, options, notices, tuple(meshes), mesh_ranges_by_species)
 
 
 def stability_notices(spec: FlocksModel, integrator: Integrator) -> list[Fault]:
     """Return a warning about a speed rule that is too stiff for the step (SIM101)."""
     if integrator.control is not StepControl.FIXED:
         return []
-    rates = [2 * s.speed.weight * s.speed.cruise**2 for s in spec.species]
-    limit = allowed_step(integrator, np.array([[max(rates), 1.0]]))
-    if limit is None or spec.step <= limit:
+    speed_rates = [2 * s.speed.weight * s.speed.cruise**2 for s in spec.species]
+    stable_step = allowed_step(integrator, np.array([[max(speed_rates), 1.0]]))
+    if stable_step is None or spec.step <= stable_step:
         return []
-    species = spec.species[rates.index(max(rates))]
-    weight = species.speed.weight * limit / spec.step
+    species = spec.species[speed_rates.index(max(speed_rates))]
+    weight = species.speed.weight * stable_step / spec.step
     message = f"{integrator.name} is not stable with steps of "
     message += f"{plain_number(spec.step)} s: {species.name!r} reaches its cruise of "
-    message += f"{species.speed.cruise:g} m/s within {plain_number(1 / max(rates))} s"
-    hint = f"write step: {limit:.2g}, or a speed with weight: {weight:.2g}"
+    message += (
+        f"{species.speed.cruise:g} m/s within {plain_number(1 / max(speed_rates))} s"
+    )
+    hint = f"write step: {stable_step:.2g}, or a speed with weight: {weight:.2g}"
     return [warning("SIM101", message, hint)]
 
 

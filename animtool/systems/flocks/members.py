@@ -59,8 +59,10 @@ class Members(Groups):
         points, velocities = (
             np.concatenate(columns) for columns in zip(*motions, strict=True)
         )
-        ends = np.cumsum([len(columns[0]) for columns in motions]).tolist()
-        members = Members(spec.species, ends, species_data, begin, points, velocities)
+        end_indices = np.cumsum([len(columns[0]) for columns in motions]).tolist()
+        members = Members(
+            spec.species, end_indices, species_data, begin, points, velocities
+        )
         members.check_distinct()
         return members
 
@@ -97,13 +99,13 @@ class Members(Groups):
             samples = colliders.as_solids.sample(points, self.begin)
             depths = self.radii - samples.distances
             deepest_indices = np.argmax(depths, axis=0)
-            members = np.arange(len(self))
-            max_depths = depths[deepest_indices, members]
+            member_indices = np.arange(len(self))
+            max_depths = depths[deepest_indices, member_indices]
             is_inside = max_depths > 0
             if not is_inside.any():
                 break
             is_moved |= is_inside
-            normals = samples.normals[deepest_indices, members]
+            normals = samples.normals[deepest_indices, member_indices]
             distances = (max_depths + SURFACE_CLEARANCE * self.radii) * is_inside
             points = points + normals * distances[:, None]
         else:
@@ -176,12 +178,14 @@ class Members(Groups):
             hint = "place them farther apart, or reduce repulsion.least"
             faults.append(warning("SIM147", message, hint))
         if overlap > MIN_REPORTED_MOVE * float(self.radii.max()):
-            k = int(self.entry_indices[np.argmax(displacements)])
-            message = f"members of {self.entries[k].name!r} start "
+            species_index = int(self.entry_indices[np.argmax(displacements)])
+            message = f"members of {self.entries[species_index].name!r} start "
             message += f"{length_text(overlap)} closer to each other than allowed: too "
             message += "many for their region"
             hint = "use a larger region, fewer members, or a smaller repulsion.least"
-            faults.append(warning("SIM147", message, hint, f"species[{k}].count"))
+            faults.append(
+                warning("SIM147", message, hint, f"species[{species_index}].count")
+            )
         return faults
 
 
@@ -232,8 +236,8 @@ def _start_motion(
 
 def key_problems(spec: FlocksModel) -> Iterator[Problem]:
     """Yield conflicts between species, their speeds and the domain."""
-    names = [species.name for species in spec.species]
-    yield from duplicate_names("species", names)
+    species_names = [species.name for species in spec.species]
+    yield from duplicate_names("species", species_names)
     for k, species in enumerate(spec.species):
         location = f"species[{k}]"
         named_species = [(f"joins[{i}]", name) for i, name in enumerate(species.joins)]
@@ -241,13 +245,13 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
             for i, relation in enumerate(relations):
                 named_species.append((f"{key}[{i}].species", relation.species))
         for key, name in named_species:
-            if name not in names:
-                hint = f"the species are {', '.join(names)}"
+            if name not in species_names:
+                hint = f"the species are {', '.join(species_names)}"
                 yield f"unknown species {excerpt(name)}", f"{location}.{key}", hint
         yield from _speed_problems(species, location)
     has_mesh = [species.shows is not None for species in spec.species]
     if any(has_mesh) and not all(has_mesh):
-        name = names[has_mesh.index(False)]
+        name = species_names[has_mesh.index(False)]
         hint = f"give {name!r} a mesh to show, or make two systems"
         yield "some species show a mesh, but others show points", "species", hint
     if spec.domain is not None:
@@ -257,9 +261,9 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
 def _speed_problems(species: SpeciesModel, location: str) -> Iterator[Problem]:
     """Yield a problem if the bounds of a species' speed exclude its cruise."""
     speed = species.speed
-    cruise = f"speed.cruise, {speed.cruise:g}"
+    cruise_text = f"speed.cruise, {speed.cruise:g}"
     if "cruise" not in speed.model_fields_set:
-        cruise += ", the default"
+        cruise_text += ", the default"
     if speed.most is not None and speed.least > speed.most:
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         message += f"speed.most, {speed.most:g}"
@@ -267,11 +271,11 @@ def _speed_problems(species: SpeciesModel, location: str) -> Iterator[Problem]:
     elif speed.least > speed.cruise:
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         hint = "lower least, or raise cruise"
-        yield f"{message}{cruise}", f"{location}.speed.least", hint
+        yield f"{message}{cruise_text}", f"{location}.speed.least", hint
     elif speed.most is not None and speed.most < speed.cruise:
         message = f"speed.most of {species.name!r} is {speed.most:g} m/s, below "
         hint = "raise most, or lower cruise"
-        yield f"{message}{cruise}", f"{location}.speed.most", hint
+        yield f"{message}{cruise_text}", f"{location}.speed.most", hint
 
 
 def _domain_problems(spec: FlocksModel, domain: DomainModel) -> Iterator[Problem]:

@@ -50,28 +50,31 @@ class FlockRule:
 def build_rules(members: Members) -> list[FlockRule]:
     """Return the rules of all species that have an effect."""
     rules = []
-    names = [species.name for species in members.entries]
+    species_names = [species.name for species in members.entries]
     for species_index, species in enumerate(members.entries):
-        subjects = _member_indices(members, [species_index])
-        mate_species = {species_index, *(names.index(name) for name in species.joins)}
+        followers = _member_indices(members, [species_index])
+        mate_species = {
+            species_index,
+            *(species_names.index(name) for name in species.joins),
+        }
         mates = _member_indices(members, sorted(mate_species))
-        rules.append(_build_flocking_rule(species, subjects, mates))
+        rules.append(_build_flocking_rule(species, followers, mates))
         for flee in species.flees:
-            targets = _member_indices(members, [names.index(flee.species)])
-            rule = FlockRule(subjects, targets, flee.radius)
+            targets = _member_indices(members, [species_names.index(flee.species)])
+            rule = FlockRule(followers, targets, flee.radius)
             repulsion = (flee.weight, flee.radius)
             softening = species.repulsion.softening
             rules.append(replace(rule, repulsion=repulsion, softening=softening))
         for chase in species.chases:
-            targets = _member_indices(members, [names.index(chase.species)])
-            rule = FlockRule(subjects, targets, chase.radius)
+            targets = _member_indices(members, [species_names.index(chase.species)])
+            rule = FlockRule(followers, targets, chase.radius)
             attraction = (chase.weight, chase.radius)
             rules.append(replace(rule, nearest=1, attraction=attraction))
     return [rule for rule in rules if _has_effect(rule)]
 
 
 def _build_flocking_rule(
-    species: SpeciesModel, subjects: IndexArray | None, mates: IndexArray | None
+    species: SpeciesModel, followers: IndexArray | None, mates: IndexArray | None
 ) -> FlockRule:
     """Return the rule of a species towards members of this and of joined species."""
     vision, repulsion = species.vision, species.repulsion
@@ -80,7 +83,7 @@ def _build_flocking_rule(
         return vision.radius if radius is None else min(radius, vision.radius)
 
     return FlockRule(
-        subjects,
+        followers,
         mates,
         vision.radius,
         -1.0 if vision.angle == 360 else float(np.cos(np.radians(vision.angle / 2))),

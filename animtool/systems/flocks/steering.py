@@ -25,8 +25,8 @@ def goal_accelerations(
     ):
         positions, speed = x[species_rows], species.speed
         if speed.weight:
-            squares = (v[species_rows] * v[species_rows]).sum(axis=1)
-            speed_gain = speed.weight * (speed.cruise**2 - squares)
+            squared_speeds = (v[species_rows] * v[species_rows]).sum(axis=1)
+            speed_gain = speed.weight * (speed.cruise**2 - squared_speeds)
             accelerations[species_rows] += speed_gain[:, None] * v[species_rows]
         for goal, goal_data in zip(species.goals, data.get("goals", ()), strict=True):
             offsets = goal_data["poses"].at(t)[:3] - positions
@@ -58,14 +58,16 @@ def _path_targets(path: PathModel, x: FloatArray) -> FloatArray:
     if path.closed:
         points = np.concatenate([points, points[:1]])
     segments = np.diff(points, axis=0)
-    lengths = np.linalg.norm(segments, axis=1)
+    segment_lengths = np.linalg.norm(segments, axis=1)
     fractions = ((x[:, None] - points[:-1]) * segments).sum(axis=2)
-    fractions = np.clip(fractions / np.maximum(lengths**2, _TINY_LENGTH), 0.0, 1.0)
+    fractions = np.clip(
+        fractions / np.maximum(segment_lengths**2, _TINY_LENGTH), 0.0, 1.0
+    )
     offsets = points[:-1] + fractions[..., None] * segments - x[:, None]
     segment_indices = np.argmin((offsets * offsets).sum(axis=2), axis=1)
-    arc_lengths = np.concatenate([[0.0], np.cumsum(lengths)])
+    arc_lengths = np.concatenate([[0.0], np.cumsum(segment_lengths)])
     nearest_fractions = fractions[np.arange(len(x)), segment_indices]
-    nearest_lengths = nearest_fractions * lengths[segment_indices]
+    nearest_lengths = nearest_fractions * segment_lengths[segment_indices]
     target_lengths = arc_lengths[segment_indices] + nearest_lengths + path.ahead
     if path.closed:
         target_lengths = target_lengths % arc_lengths[-1]
@@ -119,16 +121,18 @@ def limit_steering(
 ) -> FloatArray:
     """Return accelerations within the limits of each species ``(N, 3)`` [m/s²]."""
     limited_accelerations = accelerations
-    for species, rows in zip(members.entries, members.ranges_by_entry, strict=True):
+    for species, member_range in zip(
+        members.entries, members.ranges_by_entry, strict=True
+    ):
         if species.turning is not None:
             max_rate = float(np.radians(species.turning))
             limited_accelerations = _limit_turning(
-                limited_accelerations, v, rows, max_rate
+                limited_accelerations, v, member_range, max_rate
             )
         if species.acceleration is not None:
             limited_accelerations = limited_accelerations.copy()
-            limited_accelerations[rows] = clamp_lengths(
-                limited_accelerations[rows], species.acceleration
+            limited_accelerations[member_range] = clamp_lengths(
+                limited_accelerations[member_range], species.acceleration
             )
     return limited_accelerations
 
@@ -152,11 +156,11 @@ def _limit_turning(
     return accelerations
 
 
-def clamp_lengths(values: FloatArray, max_length: float) -> FloatArray:
+def clamp_lengths(vectors: FloatArray, max_length: float) -> FloatArray:
     """Return vectors ``(N, 3)`` clamped to a maximum length."""
-    lengths = np.linalg.norm(values, axis=1)[:, None]
+    lengths = np.linalg.norm(vectors, axis=1)[:, None]
     fractions = np.minimum(max_length / np.maximum(lengths, _TINY_LENGTH), 1.0)
-    return np.asarray(values * fractions)
+    return np.asarray(vectors * fractions)
 
 
 def limit_displacements(
@@ -167,11 +171,11 @@ def limit_displacements(
         [max_speed(entry) for entry in members.entries]
     )
     offsets = after - before
-    lengths, limits = np.linalg.norm(offsets, axis=1), max_speeds * abs(h)
-    is_beyond = lengths > limits * (1 + RELATIVE_ROUNDING)
+    lengths, max_lengths = np.linalg.norm(offsets, axis=1), max_speeds * abs(h)
+    is_beyond = lengths > max_lengths * (1 + RELATIVE_ROUNDING)
     if not is_beyond.any():
         return after
-    fractions = limits / np.maximum(lengths, _TINY_LENGTH)
+    fractions = max_lengths / np.maximum(lengths, _TINY_LENGTH)
     return np.where(is_beyond[:, None], before + offsets * fractions[:, None], after)
 
 

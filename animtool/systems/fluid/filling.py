@@ -40,14 +40,16 @@ def initial_fluid(
     t: float,
 ) -> FloatArray:
     """Return positions and velocities of the initial fluid ``(2, N, 3)``."""
-    fills, refusals = [np.zeros((2, 0, 3))], RefusalCollector()
+    fill_states, refusals = [np.zeros((2, 0, 3))], RefusalCollector()
     for i, data in enumerate(fill_data):
         with refusals.collect():
-            fills.append(_fill_motion(spec, i, data, colliders, t))
+            fill_states.append(_fill_motion(spec, i, data, colliders, t))
     refusals.check()
-    state = np.concatenate(fills, axis=1)
+    state = np.concatenate(fill_states, axis=1)
     _check_count(spec, state.shape[1], "fills")
-    _check_distinct(spec, state[0], np.cumsum([fill.shape[1] for fill in fills[1:]]))
+    _check_distinct(
+        spec, state[0], np.cumsum([fill.shape[1] for fill in fill_states[1:]])
+    )
     return state
 
 
@@ -87,14 +89,16 @@ def thin_fill_warnings(
     for i, data in enumerate(fill_data):
         if data.get("shape") is None:
             continue
-        sides = np.diff(shape_bounds(data["shape"]), axis=0)[0]
-        side, spacing_text = float(sides.min()), length_text(spec.spacing)
-        if side < (1 - RELATIVE_ROUNDING) * spec.spacing:
-            message = f"{_fill_label(spec, i)} is {length_text(side)} thick, less than "
+        thicknesses = np.diff(shape_bounds(data["shape"]), axis=0)[0]
+        thickness, spacing_text = float(thicknesses.min()), length_text(spec.spacing)
+        if thickness < (1 - RELATIVE_ROUNDING) * spec.spacing:
+            message = (
+                f"{_fill_label(spec, i)} is {length_text(thickness)} thick, less than "
+            )
             message += f"the spacing of particles, {spacing_text}: its particles stand "
             message += "for more fluid than it has"
-            half = floor_to_two_digits(side / 2)
-            hint = f"use a spacing of {length_text(half)}, or a larger fill"
+            half_thickness = floor_to_two_digits(thickness / 2)
+            hint = f"use a spacing of {length_text(half_thickness)}, or a larger fill"
             yield warning("SIM204", message, hint, f"fills[{i}].shape")
             return
 
@@ -132,8 +136,11 @@ def _refuse_enclosed(
     name: str, gaps: FloatArray, colliders: Colliders, location: str
 ) -> None:
     """Raise SIM064 for a fill inside a solid collider or outside a container."""
-    c = int(np.argmax((gaps < 0).all(axis=1)))
-    collider, collider_name = colliders.rigid_colliders[c], colliders.label(c)
+    collider_index = int(np.argmax((gaps < 0).all(axis=1)))
+    collider, collider_name = (
+        colliders.rigid_colliders[collider_index],
+        colliders.label(collider_index),
+    )
     if collider.container:
         message = f"{name} is outside the container {collider_name}"
         refuse("SIM064", message, location, "move it inside")
@@ -204,14 +211,14 @@ def _check_distinct(spec: FluidModel, points: FloatArray, fill_ends: IntArray) -
     first_particle, second_particle = sorted(
         pairs[np.lexsort(pairs.T[::-1])[0]].tolist()
     )
-    names = []
+    particle_labels = []
     for i in (first_particle, second_particle):
         k = int(np.searchsorted(fill_ends, i, side="right"))
         begin = int(fill_ends[k - 1]) if k else 0
-        names.append(f"particle {i - begin} of {_fill_label(spec, k)}")
+        particle_labels.append(f"particle {i - begin} of {_fill_label(spec, k)}")
     gap = float(np.linalg.norm(points[first_particle] - points[second_particle]))
-    message = f"{names[0]} and {names[1]} start {gap:g} m apart, but the spacing is "
-    message += f"{spec.spacing:g} m"
+    message = f"{particle_labels[0]} and {particle_labels[1]} start {gap:g} m apart, "
+    message += f"but the spacing is {spec.spacing:g} m"
     hint = "keep fills from overlapping, and remove duplicates"
     refuse("SIM064", message, "fills", hint)
 
@@ -233,13 +240,15 @@ def _check_count(spec: FluidModel, count: float, key: str) -> None:
 def _lattice_points(spec: FluidModel, shape: Any, poses: Poses, t: float) -> FloatArray:
     """Return lattice points inside a shape ``(N, 3)`` [m]."""
     low, high = shape_bounds(shape)
-    counts = np.maximum(np.round((high - low) / spec.spacing), 1.0)
-    _check_count(spec, float(np.prod(counts)) / MAX_REJECTED_POINTS, "fills")
-    axes = [
+    point_counts = np.maximum(np.round((high - low) / spec.spacing), 1.0)
+    _check_count(spec, float(np.prod(point_counts)) / MAX_REJECTED_POINTS, "fills")
+    axis_coordinates = [
         (np.arange(int(n)) + 0.5 - n / 2) * spec.spacing + (a + b) / 2
-        for n, a, b in zip(counts, low, high, strict=True)
+        for n, a, b in zip(point_counts, low, high, strict=True)
     ]
-    grid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    grid = np.stack(np.meshgrid(*axis_coordinates, indexing="ij"), axis=-1).reshape(
+        -1, 3
+    )
     is_inside = (
         Colliders([Collider(shape).as_solid()]).sample(grid, 0.0).distances[0] < 0
     )
@@ -302,29 +311,31 @@ class Nozzle:
             capacity -= count * layer_size
             if count <= 0:
                 continue
-            layers = first_layer + np.arange(count)
-            times: FloatArray = interval[0] + np.float64(self._layer_period) * layers
-            states.append(self._released_layers(times, end, gravity))
-            births.append(np.repeat(times, layer_size))
+            layer_indices = first_layer + np.arange(count)
+            release_times: FloatArray = (
+                interval[0] + np.float64(self._layer_period) * layer_indices
+            )
+            states.append(self._released_layers(release_times, end, gravity))
+            births.append(np.repeat(release_times, layer_size))
         state = np.concatenate(states, axis=1)
         return Inflow(state, np.concatenate(births), skipped_count)
 
     def _released_layers(
-        self, times: FloatArray, end: float, gravity: FloatArray
+        self, release_times: FloatArray, end: float, gravity: FloatArray
     ) -> FloatArray:
-        """Return layers released at ``times``, advanced to ``end`` ``(2, K M, 3)``."""
-        poses = self._poses.at_times(times)
-        earlier_poses = self._poses.at_times(times - VELOCITY_INTERVAL)
+        """Return layers released at given times, moved to ``end`` ``(2, K M, 3)``."""
+        poses = self._poses.at_times(release_times)
+        earlier_poses = self._poses.at_times(release_times - VELOCITY_INTERVAL)
         layer_size = len(self._layer_points)
         emitter_velocity = (poses[:, :3] - earlier_poses[:, :3]) / VELOCITY_INTERVAL
         rotations = np.repeat(poses[:, 3:], layer_size, axis=0)
         emitter_velocity = np.repeat(emitter_velocity, layer_size, axis=0)
-        layer_points = np.tile(self._layer_points, (len(times), 1))
+        layer_points = np.tile(self._layer_points, (len(release_times), 1))
         outflow = np.broadcast_to([0.0, self._speed, 0.0], layer_points.shape)
         origins = np.repeat(poses[:, :3], layer_size, axis=0)
         x = so3.rotate(rotations, layer_points) + origins
         v = so3.rotate(rotations, outflow) + emitter_velocity
-        elapsed_times = np.repeat(end - times, layer_size)[:, None]
+        elapsed_times = np.repeat(end - release_times, layer_size)[:, None]
         end_points = x + elapsed_times * (v + elapsed_times / 2 * gravity)
         return np.stack([end_points, v + elapsed_times * gravity])
 

@@ -38,6 +38,7 @@ from animtool.systems.framework.simulation import (
     SteppedState,
     StoppedError,
     growing_field,
+    saved_as,
 )
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.particles.state import ParticleState
@@ -70,8 +71,10 @@ class FluidState:
     sound: float = 0.0  # speed of sound [m/s]
     energy: float = 0.0  # upper bound of kinetic and potential energy [J]
     compression: float = 0.0  # mean compression [1]
-    densest: float = 0.0  # largest compression so far [1]
-    parts: int = 0  # number of substeps of the last step
+    # Largest compression so far [1].
+    max_compression: float = field(default=0.0, metadata=saved_as("densest"))
+    # Number of substeps of the last step.
+    substep_count: int = field(default=0, metadata=saved_as("parts"))
 
 
 def build(spec: FluidModel, context: SimContext) -> Fluid:
@@ -80,7 +83,8 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
     initial_motion = initial_fluid(spec, entry_data.get("fills", ()), colliders, begin)
     emitters = zip(spec.emitters, entry_data.get("emitters", ()), strict=True)
     nozzles = [
-        Nozzle(spec, emitter, part["poses"], begin) for emitter, part in emitters
+        Nozzle(spec, emitter, nozzle_data["poses"], begin)
+        for emitter, nozzle_data in emitters
     ]
     notices = colliders.notices()
     notices += thin_fill_warnings(spec, entry_data.get("fills", ()))
@@ -151,17 +155,17 @@ class Fluid:
 
     def step(self, state: FluidState, t: float, dt: float) -> SteppedState[FluidState]:
         """Return the state after a step [s], and impulses on bodies."""
-        end, notices = t + dt, list[Fault]()
+        end_time, notices = t + dt, list[Fault]()
         accelerations = self._accelerations(state, t)
         if not np.isfinite(accelerations).all():
-            self._stop("SIM102", end, "a force is not finite", "weaker forces")
+            self._stop("SIM102", end_time, "a force is not finite", "weaker forces")
         wrenches: Sequence[Wrenches] = [
             Wrenches.zeros(system.count) for system in self._colliders.bodies
         ]
         if len(state.ids):
             state, wrenches = self._solve_pressure(state, t, dt, accelerations, notices)
-        state = self._remove_drained(state, end)
-        state = self._add_inflow(state, t, end, accelerations, notices)
+        state = self._remove_drained(state, end_time)
+        state = self._add_inflow(state, t, end_time, accelerations, notices)
         return SteppedState(state, wrenches, notices)
 
     def _particles(self, state: FluidState) -> ParticleState:
@@ -183,16 +187,16 @@ class Fluid:
         """Return total and kinetic energy [J], and if all forces have a potential."""
         kinetic_energy = 0.5 * self._mass * float((state.motion[1] ** 2).sum())
         particles, has_all_potentials = self._particles(state), True
-        total = kinetic_energy
+        total_energy = kinetic_energy
         for force in self._forces:
             potentials = force.potential(state.motion[0], particles)
             has_all_potentials &= potentials is not None
-            total += 0.0 if potentials is None else float(potentials.sum())
+            total_energy += 0.0 if potentials is None else float(potentials.sum())
         if self._spec.tension:
             points = np.ascontiguousarray(state.motion[0])
             area = _kernels.fluid_area(points, self._spec.spacing)
-            total += self._spec.tension * area
-        return total, kinetic_energy, has_all_potentials
+            total_energy += self._spec.tension * area
+        return total_energy, kinetic_energy, has_all_potentials
 
     def _solve_pressure(
         self,
@@ -256,8 +260,8 @@ class Fluid:
             pressures=result.pressures,
             sound=sound_speed,
             compression=compression,
-            densest=max(state.densest, compression),
-            parts=substep_count,
+            max_compression=max(state.max_compression, compression),
+            substep_count=substep_count,
         )
         if self._has_energy_gain(end_state):
             message = f"its energy changed to {self._energy(end_state)[0]:.3g} J, from "
@@ -488,10 +492,10 @@ class Fluid:
         values = {
             "particles": float(len(state.ids)),
             "compression": state.compression,
-            "densest": state.densest,
+            "densest": state.max_compression,
             "pressure": float(state.pressures.max(initial=0.0)),
             "speed": float(speeds.max(initial=0.0)),
-            "parts": float(state.parts),
+            "parts": float(state.substep_count),
         }
         if state.held:
             values["held_back"] = float(state.held)

@@ -13,7 +13,7 @@ from animtool.systems.fluid.spec import FluidModel
 # One pressure iteration per substep acts like sound that travels one spacing in it.
 # Compression is pressure over density and the squared speed of sound. Its mean is less
 # than half its maximum, which leaves a margin.
-COMPRESSION_MARGIN = 1.1
+COMPRESSION_SAFETY_FACTOR = 1.1
 # Largest motion in a substep, in spacings.
 MAX_SUBSTEP_TRAVEL = 0.25
 # Largest substep relative to squared spacing over viscosity; above 0.23 diffusion is
@@ -61,50 +61,58 @@ class Substeps:
 
     def _sound_speed(self, head: float) -> float:
         """Return the sound speed [m/s] for a ratio of pressure to density [m²/s²]."""
-        return math.sqrt(head * COMPRESSION_MARGIN / self._spec.compression)
+        return math.sqrt(head * COMPRESSION_SAFETY_FACTOR / self._spec.compression)
 
     def step_sound_speed(
         self,
-        previous: float,
+        previous_sound_speed: float,
         pressures: FloatArray,
         speeds: FloatArray,
-        acceleration: float,
+        max_acceleration: float,
         dt: float,
     ) -> float:
         """Return the speed of sound for a step [m/s].
 
-        ``previous`` is that of the last step, or 0. Particles have pressures
-        [Pa] and largest approach speeds [m/s] ``(N,)``; ``acceleration`` is the largest
-        external one [m/s²].
+        ``previous_sound_speed`` is that of the last step, or 0. Particles have
+        pressures [Pa] and largest approach speeds [m/s] ``(N,)``;
+        ``max_acceleration`` is the largest external one [m/s²].
         """
-        index = len(pressures) - 1 - int(IGNORED_QUANTILE * len(pressures))
-        pressure, speed = (np.partition(a, index)[index] for a in (pressures, speeds))
+        quantile_index = len(pressures) - 1 - int(IGNORED_QUANTILE * len(pressures))
+        pressure, speed = (
+            np.partition(a, quantile_index)[quantile_index] for a in (pressures, speeds)
+        )
         pressure_head = float(pressure) / self._spec.density
-        max_speed = float(speed) + acceleration * dt
-        layer_head = MIN_LAYERS * self._spec.spacing * acceleration
+        max_speed = float(speed) + max_acceleration * dt
+        layer_head = MIN_LAYERS * self._spec.spacing * max_acceleration
         static_head = max(pressure_head, layer_head, self._drop_pressure)
         required_speed = self._sound_speed(static_head + max_speed**2 / 2)
         min_sound = required_speed / SOUND_TOLERANCE
-        if previous and min_sound <= previous <= required_speed * SOUND_TOLERANCE:
-            return previous
-        min_speed = previous * math.exp(-dt / SOUND_FALL_TIME)
-        max_allowed = previous * math.exp(dt / SOUND_RISE_TIME)
-        if previous:
+        if (
+            previous_sound_speed
+            and min_sound <= previous_sound_speed <= required_speed * SOUND_TOLERANCE
+        ):
+            return previous_sound_speed
+        min_speed = previous_sound_speed * math.exp(-dt / SOUND_FALL_TIME)
+        max_allowed = previous_sound_speed * math.exp(dt / SOUND_RISE_TIME)
+        if previous_sound_speed:
             required_speed = min(required_speed, max_allowed)
-        sound = max(min_speed, required_speed)
+        sound_speed = max(min_speed, required_speed)
         # Without pressure, one substep is as stiff as possible.
-        return sound or self._spec.spacing / dt
+        return sound_speed or self._spec.spacing / dt
 
-    def substep_count(self, dt: float, max_speed: float, sound: float) -> float:
+    def substep_count(self, dt: float, max_speed: float, sound_speed: float) -> float:
         """Return the number of substeps of a step; infinite on numerical overflow."""
         spec = self._spec
-        rates = [sound / spec.spacing, max_speed / (MAX_SUBSTEP_TRAVEL * spec.spacing)]
-        rates.append(spec.viscosity / (MAX_DIFFUSION * spec.spacing**2))
+        min_rates = [
+            sound_speed / spec.spacing,
+            max_speed / (MAX_SUBSTEP_TRAVEL * spec.spacing),
+        ]
+        min_rates.append(spec.viscosity / (MAX_DIFFUSION * spec.spacing**2))
         if spec.tension:
             mass = spec.density * spec.spacing**3
             squared_frequency = 2 * math.pi * spec.tension / mass
-            rates.append(math.sqrt(squared_frequency) / MAX_RIPPLE_PHASE)
-        count = dt * max(rates)
+            min_rates.append(math.sqrt(squared_frequency) / MAX_RIPPLE_PHASE)
+        count = dt * max(min_rates)
         return max(math.ceil(count), 1) if count < 2**31 else math.inf
 
     def collision_substeps(

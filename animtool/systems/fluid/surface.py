@@ -47,28 +47,37 @@ def build_surface(
     from scipy.spatial import cKDTree
     from skimage.measure import marching_cubes
 
-    cell = spec.surface.cell or DEFAULT_CELL * spec.spacing
+    cell_size = spec.surface.cell or DEFAULT_CELL * spec.spacing
     radius = (1 + spec.surface.smoothing) * spec.spacing
-    grid_origin = points.min(axis=0) - radius - 2 * cell
-    grid_size = points.max(axis=0) + radius + 2 * cell - grid_origin
-    node_counts = np.ceil(grid_size / cell) + 1
+    grid_origin = points.min(axis=0) - radius - 2 * cell_size
+    grid_size = points.max(axis=0) + radius + 2 * cell_size - grid_origin
+    node_counts = np.ceil(grid_size / cell_size) + 1
     if np.prod(node_counts) > spec.surface.max_cells:
-        message = f"its surface needs {np.prod(node_counts):,.0f} cells of {cell:g} m, "
+        message = (
+            f"its surface needs {np.prod(node_counts):,.0f} cells of {cell_size:g} m, "
+        )
         message += f"but {spec.surface.max_cells:,} are allowed: it is spread far"
         hint = "drain stray particles, use larger cells, or raise max_cells"
         raise OptionError(Fault("SIM064", message, where="surface", hint=hint))
     shape = tuple(int(size) for size in node_counts)
-    values = density_field(points, grid_origin, shape, cell, radius, spec.spacing)
+    values = density_field(points, grid_origin, shape, cell_size, radius, spec.spacing)
     if not values.max() > ISO_LEVEL:
         vertex_primvars = {name: array[:0] for name, array in primvars.items()}
         return _surface_mesh(points[:0], points[:0], _NO_FACES, vertex_primvars)
     vertices, faces, _, _ = marching_cubes(values, ISO_LEVEL)
     # Winding so that the field decreases outwards.
-    vertices, faces = vertices.astype(np.float64) * cell + grid_origin, faces[:, ::-1]
-    _, nearest = cKDTree(points).query(vertices)
-    vertex_primvars = {name: values[nearest] for name, values in primvars.items()}
+    vertices, faces = (
+        vertices.astype(np.float64) * cell_size + grid_origin,
+        faces[:, ::-1],
+    )
+    _, nearest_particles = cKDTree(points).query(vertices)
+    vertex_primvars = {
+        name: values[nearest_particles] for name, values in primvars.items()
+    }
     faces = faces.astype(np.int64)
-    return _surface_mesh(vertices, velocities[nearest], faces, vertex_primvars)
+    return _surface_mesh(
+        vertices, velocities[nearest_particles], faces, vertex_primvars
+    )
 
 
 def _surface_mesh(
@@ -85,7 +94,7 @@ def density_field(
     points: FloatArray,
     grid_origin: FloatArray,
     shape: tuple[int, ...],
-    cell: float,
+    cell_size: float,
     radius: float,
     spacing: float,
 ) -> FloatArray:
@@ -93,14 +102,16 @@ def density_field(
 
     This is the sum of Wendland's C2 kernel over particles ``(N, 3)``; 1 in fluid.
     """
-    node_indices = np.floor((points - grid_origin) / cell).astype(np.int64)
-    cell_range = int(np.ceil(radius / cell))
+    node_indices = np.floor((points - grid_origin) / cell_size).astype(np.int64)
+    cell_range = int(np.ceil(radius / cell_size))
     values = np.zeros(int(np.prod(shape)))
     strides = np.array([shape[1] * shape[2], shape[2], 1])
     scale = (spacing / radius) ** 3 / KERNEL_INTEGRAL
     for offset in product(range(-cell_range, cell_range + 2), repeat=3):
         corner_indices = node_indices + offset
-        distances = np.linalg.norm(corner_indices * cell + grid_origin - points, axis=1)
+        distances = np.linalg.norm(
+            corner_indices * cell_size + grid_origin - points, axis=1
+        )
         relative_distances = distances / radius
         is_near = relative_distances < 1
         if is_near.any():

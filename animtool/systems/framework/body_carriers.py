@@ -58,8 +58,8 @@ class CarrierBodies(BodyColliders):
 
     def start(self, carrier: BodyCarrier) -> Poses:
         """Return the initial pose of a body."""
-        frames = self.system.body_poses(self._start_state, self.begin)
-        pose = frames[self.body_index(carrier)]
+        body_poses = self.system.body_poses(self._start_state, self.begin)
+        pose = body_poses[self.body_index(carrier)]
         return Poses.fixed(pose[:3], pose[3:])
 
     def surface_distance(
@@ -158,9 +158,11 @@ class CarrierStep:
         self, state: Any, index: int, points: FloatArray
     ) -> FloatArray:
         """Return velocities of points ``(P, 3)`` on a dynamic body [m/s]."""
-        speeds = self._simulation.body_velocities(state)[index]
+        body_velocity = self._simulation.body_velocities(state)[index]
         centre = self._simulation.inertias(state)[0][index]
-        velocities: FloatArray = speeds[:3] + so3.cross(speeds[3:], points - centre)
+        velocities: FloatArray = body_velocity[:3] + so3.cross(
+            body_velocity[3:], points - centre
+        )
         return velocities
 
     def start_velocities(self, index: int, points: FloatArray) -> FloatArray:
@@ -185,7 +187,7 @@ class CarrierStep:
         return state, self._simulation.body_poses(state, self._t1)
 
 
-def local_to_world(frame: FloatArray, local_points: FloatArray) -> FloatArray:
+def local_to_world(pose: FloatArray, local_points: FloatArray) -> FloatArray:
     """Transform points ``(P, 3)`` from a frame ``(7,)`` to the world [m]."""
-    points: FloatArray = frame[:3] + so3.rotate(frame[3:], local_points)
+    points: FloatArray = pose[:3] + so3.rotate(pose[3:], local_points)
     return points

@@ -35,8 +35,8 @@ def check_bounds(name: str, frame: Frame, t: float, step: float) -> None:
             continue
         index = np.argwhere(~(np.abs(values) <= MAX_FRAME_VALUE))[0]
         number, unit = float(values[tuple(index)]), ARRAY_UNITS.get(array_name, "")
-        value = f"{number:.3g} {unit}".rstrip()
-        _stop(name, t, f"{array_name}[{int(index[0])}] is {value}", step)
+        value_text = f"{number:.3g} {unit}".rstrip()
+        _stop(name, t, f"{array_name}[{int(index[0])}] is {value_text}", step)
 
 
 def check_finite(name: str, frame: Frame, t: float, step: float) -> None:

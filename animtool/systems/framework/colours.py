@@ -82,19 +82,21 @@ class Colouring:
         ramp = np.array(model.ramp or default_ramp, np.float64)
         if model.range is not None:
             return Colouring(model.by, (model.range[0], model.range[1]), ramp)
-        values = quantities[model.by]()
+        quantity_values = quantities[model.by]()
         low, high = 0.0, 1.0
-        if len(values):
-            low, high = np.quantile(values, [LOW_QUANTILE, HIGH_QUANTILE])
+        if len(quantity_values):
+            low, high = np.quantile(quantity_values, [LOW_QUANTILE, HIGH_QUANTILE])
         return Colouring(model.by, (float(low), float(high)), ramp)
 
     def colours(self, quantities: Quantities) -> FloatArray:
         """Return the colours of points ``(N, 3)`` by their quantities."""
-        values = quantities[self.by]()
+        quantity_values = quantities[self.by]()
         if self.by == "species":
-            return np.asarray(self.ramp[values.astype(np.int64) % len(self.ramp)])
+            return np.asarray(
+                self.ramp[quantity_values.astype(np.int64) % len(self.ramp)]
+            )
         low, high = self.range
-        fractions = np.clip((values - low) / (high - low or 1.0), 0.0, 1.0)
+        fractions = np.clip((quantity_values - low) / (high - low or 1.0), 0.0, 1.0)
         positions = np.linspace(0, 1, len(self.ramp))
         channels = [np.interp(fractions, positions, row) for row in self.ramp.T]
         return np.stack(channels, axis=1)

@@ -24,7 +24,7 @@ from animtool.documents.fields import (
     shared_key,
     with_fields,
 )
-from animtool.documents.value_hints import EntryExamples
+from animtool.documents.value_hints import OptionExamplesAnnotation
 from animtool.sim.contact import Contact, Material
 
 # A name with its options, such as a force field.
@@ -50,7 +50,7 @@ ArrayEntry = Annotated[Name, FieldKind.ARRAY]
 NameEntry = Annotated[str | Integer, FieldKind.NAMES]
 ForceEntry = Annotated[NamedOptions, FieldKind.FORCE]
 # Syntax of shapes.
-SHAPE_FORMS = EntryExamples(
+SHAPE_FORMS = OptionExamplesAnnotation(
     {
         "box": {"size": [1, 1, 1]},
         "capsule": {"radius": 0.1, "length": 0.5},
@@ -61,7 +61,7 @@ SHAPE_FORMS = EntryExamples(
     }
 )
 # Syntax of emitter shapes.
-EMITTER_SHAPE_FORMS = EntryExamples(
+EMITTER_SHAPE_FORMS = OptionExamplesAnnotation(
     {
         "box": {"size": [1, 0, 1]},
         "disc": {"radius": 0.2},
@@ -218,7 +218,7 @@ class PlacedModel(PlacementModel):
     )
 
 
-@with_fields(Material, ranges="model")
+@with_fields(Material, range_check="model")
 class _MaterialModel(FileModel):
     pass
 

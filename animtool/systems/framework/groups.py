@@ -28,17 +28,19 @@ class Groups:
     @cached_property
     def ranges_by_entry(self) -> list[slice]:
         """Index range of each entry."""
-        starts = [0, *self.end_indices[:-1]]
-        return [slice(a, b) for a, b in zip(starts, self.end_indices, strict=True)]
+        start_indices = [0, *self.end_indices[:-1]]
+        return [
+            slice(a, b) for a, b in zip(start_indices, self.end_indices, strict=True)
+        ]
 
     @cached_property
     def entry_indices(self) -> IntArray:
         """Entry index of each individual ``(N,)``."""
         return np.repeat(np.arange(len(self.entries)), np.diff([0, *self.end_indices]))
 
-    def repeat_per_individual(self, values: Sequence[float]) -> FloatArray:
+    def repeat_per_individual(self, entry_values: Sequence[float]) -> FloatArray:
         """Return the value of each entry, repeated for all its individuals ``(N,)``."""
-        return np.asarray(values, np.float64)[self.entry_indices]
+        return np.asarray(entry_values, np.float64)[self.entry_indices]
 
     @cached_property
     def radii(self) -> FloatArray:

@@ -161,7 +161,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
             self._colouring = Colouring.from_model(self._spec.colour, quantities)
 
     @abstractmethod
-    def _start(self, motion: FloatArray) -> State:
+    def _build_initial_state(self, motion: FloatArray) -> State:
         """Build the initial state from positions and velocities ``(2, N, 3)``."""
 
     @abstractmethod
@@ -222,7 +222,9 @@ class Interacting(ABC, Generic[State, InteractionSums]):
 
     @cached_property
     def _initial_state(self) -> State:
-        return self._start(np.stack([self.bodies.points, self.bodies.velocities]))
+        return self._build_initial_state(
+            np.stack([self.bodies.points, self.bodies.velocities])
+        )
 
     def _system(
         self,
@@ -256,18 +258,18 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         self, system: StepSystem[InteractionSums], t: float, dt: float, step: float
     ) -> FloatArray:
         """Return the motion after a duration [s], in steps [s] of the integrator."""
-        scale = self._time_scale
-        options = replace(self._options, step=step * scale)
-        return integrate_step(system, options, t * scale, dt * scale)
+        time_scale = self._time_scale
+        options = replace(self._options, step=step * time_scale)
+        return integrate_step(system, options, t * time_scale, dt * time_scale)
 
     def _check_energy(self, state: State, t: float) -> None:
         """Raise SIM102 if energy is not conserved."""
         initial, energy = self._initial_energy, self._energy(state, t)
         exchanged_energy = self._exchanged_energy(state, energy)
-        scale = max(initial.kinetic, abs(initial.potential), exchanged_energy)
-        has_supply = self._is_driven or not scale
+        energy_scale = max(initial.kinetic, abs(initial.potential), exchanged_energy)
+        has_supply = self._is_driven or not energy_scale
         gain = abs(self._energy_gain(state, energy))
-        if not has_supply and not gain <= MAX_ENERGY_GROWTH * scale:
+        if not has_supply and not gain <= MAX_ENERGY_GROWTH * energy_scale:
             message = f"its energy changed to {energy.total:.4g} {self.unit}, from "
             self._stop(state, t, f"{message}{initial.total:.4g} {self.unit}")
 
@@ -294,8 +296,8 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     def _energy_drift(self, state: State, energy: Energy) -> float:
         """Return the energy gain relative to the initial energy [1]."""
         initial = self._initial_energy
-        scale = max(abs(initial.total), initial.kinetic, 1e-300)
-        return self._energy_gain(state, energy) / scale
+        energy_scale = max(abs(initial.total), initial.kinetic, 1e-300)
+        return self._energy_gain(state, energy) / energy_scale
 
     def _to_scene(self, motion: FloatArray) -> FloatArray:
         """Return positions [m] and velocities [m/s] in the scene ``(2, N, 3)``."""
@@ -304,15 +306,17 @@ class Interacting(ABC, Generic[State, InteractionSums]):
     @np.errstate(all="ignore")
     def frame(self, state: State, t: float) -> PointsFrame:
         """Return the frame of the written bodies."""
-        rows = self.written_indices
-        points, velocities = self._to_scene(state.motion)[:, rows]
+        written_indices = self.written_indices
+        points, velocities = self._to_scene(state.motion)[:, written_indices]
         primvars: dict[str, Any] = {}
         if self.has_many_species:
-            primvars["species"] = self.species[rows]
+            primvars["species"] = self.species[written_indices]
         if self._colouring is not None:
             colours = self._colouring.colours(self._quantities(state, t))
-            primvars["displayColor"] = colours[rows]
-        return PointsFrame(rows, points, velocities, self.radii[rows], primvars)
+            primvars["displayColor"] = colours[written_indices]
+        return PointsFrame(
+            written_indices, points, velocities, self.radii[written_indices], primvars
+        )
 
     def _quantities(self, state: State, t: float) -> Quantities:  # noqa: ARG002
         (x, v), box = state.motion, self.box

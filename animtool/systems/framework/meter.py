@@ -19,7 +19,7 @@ from animtool.sim.colliders import Colliders, Mesh
 VISIBLE_DEPTH = 2e-3
 # Depth that rounding explains [m].
 MIN_DEPTH = 1e-9
-# What is deeper at the start is inside, not pressed in [m].
+# Surfaces that are deeper at the start begin inside; they are not pressed in [m].
 MAX_START_DEPTH = 0.05
 # Visible strain of cloth: 99th percentile and maximum [1].
 VISIBLE_STRAIN_99, VISIBLE_STRAIN = 0.08, 0.15
@@ -148,13 +148,15 @@ class ContactMeter:
             strains = np.abs(surface.lengths(points) / surface.rest_lengths - 1)
             largest_index = int(strains.argmax())
             particle = int(surface.edges[largest_index, 0])
-            value, quantile = (
+            max_strain, strain_99 = (
                 float(strains[largest_index]),
                 float(np.quantile(strains, 0.99)),
             )
-            self.strain = self._larger_peak(self.strain, value, frame, points, particle)
+            self.strain = self._larger_peak(
+                self.strain, max_strain, frame, points, particle
+            )
             self.strain_99 = self._larger_peak(
-                self.strain_99, quantile, frame, points, particle
+                self.strain_99, strain_99, frame, points, particle
             )
 
     def _larger_peak(
@@ -183,21 +185,21 @@ class ContactMeter:
         """Peaks of depth and strain as text; empty if there was neither."""
         phrases = []
         if self.depth.value > MIN_DEPTH:
-            depth = f"{length_text(self.depth.value, 2)} deep in what it touches"
-            phrases.append(f"{depth} ({self.depth.text})")
+            depth_text = f"{length_text(self.depth.value, 2)} deep in what it touches"
+            phrases.append(f"{depth_text} ({self.depth.text})")
         if self.strain.value > 0:
-            quantile = percent_text(self.strain_99.value)
-            phrases.append(f"99th percentile of strain {quantile}")
-            largest = percent_text(self.strain.value)
-            phrases.append(f"largest strain {largest} ({self.strain.text})")
+            quantile_text = percent_text(self.strain_99.value)
+            phrases.append(f"99th percentile of strain {quantile_text}")
+            strain_text = percent_text(self.strain.value)
+            phrases.append(f"largest strain {strain_text} ({self.strain.text})")
         return ", ".join(phrases)
 
-    def notices(self, subject: str) -> list[Fault]:
+    def notices(self, label: str) -> list[Fault]:
         """Return warnings of visible depth, intersections and strain (SIM180-182)."""
         notices, remedy = [], "a shorter step" if self.uses_seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
-            depth = length_text(self.depth.value, 2)
-            message = f"{subject} is {depth} deep in what it touches "
+            depth_text = length_text(self.depth.value, 2)
+            message = f"{label} is {depth_text} deep in what it touches "
             message += f"({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
             starts_inside = self.uses_seconds and self.depth.time == self.start
@@ -205,14 +207,14 @@ class ContactMeter:
                 hint = "it starts inside: move it out"
             notices.append(warning("SIM180", message, hint))
         if self.pierced.value:
-            pairs = counted(int(self.pierced.value), "pair")
-            message = f"{pairs} of edges and triangles of {subject} and what it "
+            pairs_text = counted(int(self.pierced.value), "pair")
+            message = f"{pairs_text} of edges and triangles of {label} and what it "
             message += f"touches intersect ({self.pierced.time_text})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
         is_strained = self.strain.value > VISIBLE_STRAIN
         if is_strained or self.strain_99.value > VISIBLE_STRAIN_99:
-            message = f"{subject} is strained by up to "
+            message = f"{label} is strained by up to "
             message += f"{percent_text(self.strain.value)} ({self.strain.text}), 99th "
             message += f"percentile {percent_text(self.strain_99.value)}"
             hint = f"pins or contacts pull it apart; use {remedy}"

@@ -179,18 +179,20 @@ class SimulationRun(EntryRun):
         """Return the state at a time [s], and that time. Times must not decrease."""
         if t == self._last_time:
             return self.last_sample
-        steps = self.advance(t)
+        step_count = self.advance(t)
         start = self.state
-        if steps < start.step_count:
+        if step_count < start.step_count:
             # Systems coupled to it may have advanced it beyond the frame.
             earlier_states = [
-                past for past in self._past_states or () if past.step_count <= steps
+                past
+                for past in self._past_states or ()
+                if past.step_count <= step_count
             ]
             if not earlier_states:
                 message = f"time {t:g} s is before that of the simulation"
                 raise OptionError(Fault("SIM002", message, hint="begin again"))
             start = earlier_states[-1]
-        time = self.step_time(steps)
+        time = self.step_time(step_count)
         state = self._partial_step(start, t)
         if state is start and self._pullers:
             state = self._with_pushes(start)
@@ -206,12 +208,12 @@ class SimulationRun(EntryRun):
         The step is the one that contains the time [s]. Also returns the start and end
         of the step [s]; returns None if there are none.
         """
-        steps = self.advance(t)
-        start = self.step_time(steps)
+        step_count = self.advance(t)
+        start = self.step_time(step_count)
         is_within = t - start > STEP_TOLERANCE * self.step_length
-        if not is_within or steps != self.state.step_count or t < self.begin:
+        if not is_within or step_count != self.state.step_count or t < self.begin:
             return None
-        end = self.step_time(steps + 1)
+        end = self.step_time(step_count + 1)
         wrenches = self.simulation.pulls(self.state.state, start)
         index = [
             pushed_bodies is bodies for pushed_bodies in self._pushed_bodies
@@ -272,13 +274,13 @@ class SimulationRun(EntryRun):
         Pushers are advanced to the same time first, so that the result does not depend
         on the requested times.
         """
-        steps = self.state.step_count
+        step_count = self.state.step_count
         if not self._pushers:
             return self.state
-        if steps in self._pushed_states:
-            return self._pushed_states[steps]
+        if step_count in self._pushed_states:
+            return self._pushed_states[step_count]
         assert isinstance(self.simulation, RigidSystem)
-        time = self.step_time(steps)
+        time = self.step_time(step_count)
         for pusher in self._pushers:
             pusher.advance(time)
         latest_time = time + STEP_TOLERANCE * self.step_length
@@ -287,14 +289,14 @@ class SimulationRun(EntryRun):
         self._queued_pushes = [
             push for push in self._queued_pushes if push[0] > latest_time
         ]
-        self._pushed_states[steps] = self.state
+        self._pushed_states[step_count] = self.state
         if due_pushes:
             wrenches = [push[2].delayed_by(time - push[0]) for push in due_pushes]
             pushed_state = self.simulation.pushed(
                 self.state.state, Wrenches.sum(wrenches)
             )
-            self._pushed_states[steps] = ReachedState(steps, pushed_state)
-        return self._pushed_states[steps]
+            self._pushed_states[step_count] = ReachedState(step_count, pushed_state)
+        return self._pushed_states[step_count]
 
     def collide_with(self, bodies: Sequence[MovingBodies]) -> None:
         """Register bodies of other systems that this simulation pushes."""
@@ -327,12 +329,12 @@ class SimulationRun(EntryRun):
                 self.step_notices.append(notice)
 
     def _step_count(self, t: float) -> int:
-        """Return the number of full steps until a time [s]; negative before it."""
+        """Return the number of full steps to time t [s]; negative before the start."""
         return math.floor((t - self.begin) / self.step_length + STEP_TOLERANCE)
 
-    def step_time(self, steps: int) -> float:
+    def step_time(self, step_count: int) -> float:
         """Return the time after a number of steps [s]."""
-        return self.begin + steps * self.step_length
+        return self.begin + step_count * self.step_length
 
     def past_state(self, t: float, *, with_pushes: bool = False) -> tuple[Any, float]:
         """Return the current or a past state at a time [s], and that time.

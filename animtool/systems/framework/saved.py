@@ -104,15 +104,19 @@ class SavedStates:
             message = f"the state is of a system of {kind}, not of {expected_kind}"
             hint = f"name a file that a system of {expected_kind} saves"
             raise self._mismatch(name, message, hint)
-        row = archives.load(path, f"{prefix}clock")
-        if row.shape != (3,) or not 0 <= row[2] <= MAX_EXACT_INTEGER or row[2] % 1:
+        clock_row = archives.load(path, f"{prefix}clock")
+        if (
+            clock_row.shape != (3,)
+            or not 0 <= clock_row[2] <= MAX_EXACT_INTEGER
+            or clock_row[2] % 1
+        ):
             message = "its clock is not a start, a step and a count"
             raise self._mismatch(name, message)
-        begin, step, count = row.tolist()
+        begin, step, count = clock_row.tolist()
         return StateClock(kind, begin, step), int(count)
 
     def read(
-        self, name: str, expected_clock: StateClock, initial: ReachedState[Any]
+        self, name: str, expected_clock: StateClock, initial_state: ReachedState[Any]
     ) -> ReachedState[Any]:
         """Return a saved state that has the structure of an initial state."""
         archives, path = self.archives, self.path
@@ -122,8 +126,8 @@ class SavedStates:
         clock_problem = _clock_problem(saved_clock, expected_clock)
         if clock_problem:
             raise mismatch(*clock_problem)
-        expected_arrays, metadata = _state_arrays(initial.state), _FieldMetadata()
-        _collect_metadata(initial.state, metadata)
+        expected_arrays, metadata = _state_arrays(initial_state.state), _FieldMetadata()
+        _collect_metadata(initial_state.state, metadata)
         saved_names = archives.text(path, f"{prefix}state")
         names_in_file = set(saved_names.split(", "))
         missing_names = metadata.added_names - names_in_file
@@ -138,21 +142,23 @@ class SavedStates:
         arrays: _Arrays = {}
         lengths = set()
         for key in names:
-            values = arrays[key] = archives.load_stored(path, f"{prefix}state/{key}")
-            expected_array = expected_arrays.get(key, values)
+            saved_array = arrays[key] = archives.load_stored(
+                path, f"{prefix}state/{key}"
+            )
+            expected_array = expected_arrays.get(key, saved_array)
             axis = metadata.growing_axes.get(key)
-            problem = _array_problem(values, expected_array, axis)
+            problem = _array_problem(saved_array, expected_array, axis)
             if problem:
                 raise mismatch(f"{key} {problem}")
             if axis is not None:
-                lengths.add(values.shape[axis])
-            arrays[key] = values.astype(expected_array.dtype)
+                lengths.add(saved_array.shape[axis])
+            arrays[key] = saved_array.astype(expected_array.dtype)
         if len(lengths) > 1:
             counts = listed(sorted(lengths))
             raise mismatch(f"its arrays have {counts} rows; they must be equal")
         try:
             arrays |= {key: expected_arrays[key] for key in missing_names}
-            state = _restore(initial.state, arrays, metadata)
+            state = _restore(initial_state.state, arrays, metadata)
             return ReachedState(step_count, state)
         except TypeError as error:
             raise mismatch(f"its state has {saved_names}: {error}") from error
@@ -173,40 +179,45 @@ def _clock_problem(
 
 
 def _array_problem(
-    values: npt.NDArray[Any], expected_array: npt.NDArray[Any], axis: int | None
+    saved_array: npt.NDArray[Any], expected_array: npt.NDArray[Any], axis: int | None
 ) -> str:
     """Return why a saved array is invalid; empty if it is not.
 
     Its length may differ from that of the expected array along ``axis``.
     """
     shape = list(expected_array.shape)
-    if axis is not None and values.ndim == expected_array.ndim:
-        shape[axis] = values.shape[axis]
-    if values.shape != (*shape,) or values.dtype.kind != expected_array.dtype.kind:
-        if values.dtype.kind == expected_array.dtype.kind:
-            text = f"has shape {values.shape}, but the scene needs {(*shape,)}: it was "
-            return f"{text}saved with other counts"
-        text = f"is {values.dtype} of shape {values.shape}, but in the scene "
+    if axis is not None and saved_array.ndim == expected_array.ndim:
+        shape[axis] = saved_array.shape[axis]
+    if (
+        saved_array.shape != (*shape,)
+        or saved_array.dtype.kind != expected_array.dtype.kind
+    ):
+        if saved_array.dtype.kind == expected_array.dtype.kind:
+            text = f"has shape {saved_array.shape}, but the scene needs {(*shape,)}: "
+            return f"{text}it was saved with other counts"
+        text = f"is {saved_array.dtype} of shape {saved_array.shape}, but in the scene "
         return f"{text}{expected_array.dtype} of shape {expected_array.shape}"
     # Particles without a lifetime have an infinite time of death.
-    is_valid = np.isfinite(values) if axis is None else ~np.isnan(values)
+    is_valid = np.isfinite(saved_array) if axis is None else ~np.isnan(saved_array)
     if expected_array.dtype.kind == "f" and not is_valid.all():
         return "contains a number that is not finite"
-    if not _is_in_bounds(values, expected_array):
+    if not _is_in_bounds(saved_array, expected_array):
         return "contains a number that is out of bounds"
     return ""
 
 
-def _is_in_bounds(values: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
+def _is_in_bounds(saved_array: npt.NDArray[Any], template: npt.NDArray[Any]) -> bool:
     """Return whether saved numbers are in bounds; a count may be -1 if missing."""
     if template.dtype.kind == "f":
         # The precision of a file may differ from that of a state.
         with np.errstate(over="ignore"):
-            magnitudes = np.abs(values[np.isfinite(values)].astype(np.float64))
+            magnitudes = np.abs(
+                saved_array[np.isfinite(saved_array)].astype(np.float64)
+            )
         return bool(magnitudes.max(initial=0.0) <= MAX_MAGNITUDE)
     if template.ndim or template.dtype.kind not in "iu":
         return True
-    return -1 <= int(values) <= MAX_EXACT_INTEGER
+    return -1 <= int(saved_array) <= MAX_EXACT_INTEGER
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,7 +84,7 @@ class RigidSystem(Protocol):
         """Return linear and angular velocities of dynamic bodies ``(count, 6)``."""
 
     def is_free(self, t: float) -> BoolArray:
-        """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
+        """Return a mask of bodies dynamic at and after a time [s] ``(count,)``."""
 
     def pushed(self, state: Any, wrenches: Wrenches) -> Any:
         """Return a state with impulses applied to the bodies."""

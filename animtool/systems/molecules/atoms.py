@@ -74,26 +74,36 @@ class Atoms(PointMasses):
         for k, site in zip(lattice_species, sites, strict=True):
             initial_motions[k] = site, initial_motions[k][1]
         points = [np.zeros((0, 3)) if p is None else p for p, _ in initial_motions]
-        kinds = np.repeat(np.arange(len(points)), [len(site) for site in points])
+        species_indices = np.repeat(
+            np.arange(len(points)), [len(site) for site in points]
+        )
 
-        def atom_values(values: list[float]) -> FloatArray:
-            return np.array(values, np.float64)[kinds]
+        def atom_values(species_values: list[float]) -> FloatArray:
+            return np.array(species_values, np.float64)[species_indices]
 
         radii = [atom.radius or atom.sigma / 2 * spec.scale for atom in spec.species]
         masses = atom_values([species.mass for species in spec.species])
         atoms = Atoms(
             np.concatenate(points),
-            _initial_velocities(spec, masses, kinds, [v for _, v in initial_motions]),
+            _initial_velocities(
+                spec, masses, species_indices, [v for _, v in initial_motions]
+            ),
             masses,
-            kinds.astype(np.int32),
+            species_indices.astype(np.int32),
             atom_values([species.charge for species in spec.species]),
             atom_values(radii),
         )
-        total = float(atoms.charges.sum())
-        if abs(total) > CHARGE_TOLERANCE:
-            message = f"charges have a sum of {total:g} e, but a periodic box must be "
+        total_charge = float(atoms.charges.sum())
+        if abs(total_charge) > CHARGE_TOLERANCE:
+            message = (
+                f"charges have a sum of {total_charge:g} e, but a periodic box must be "
+            )
             message += "neutral"
-            signs = ("positive", "negative") if total > 0 else ("negative", "positive")
+            signs = (
+                ("positive", "negative")
+                if total_charge > 0
+                else ("negative", "positive")
+            )
             hint = f"use less {signs[0]} or more {signs[1]} charge, until they cancel"
             refuse(spec.code, message, "species", hint)
         return atoms
@@ -131,34 +141,35 @@ def _read_motion(
 
 def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
     """Return the lattice sites of the atoms of each species ``(N, 3)`` [nm]."""
-    total = sum(counts)
-    if not total:
+    atom_count = sum(counts)
+    if not atom_count:
         return []
-    size = np.array(spec.block or spec.box)
+    lattice_size = np.array(spec.block or spec.box)
     cell_sites = _FCC_SITES if spec.lattice == "fcc" else np.full((1, 3), 0.5)
-    spacing = (len(cell_sites) * size.prod() / total) ** (1 / 3)
-    shape = np.maximum(np.round(size / spacing), 1)
-    max_sites = MAX_SITES_PER_ATOM * total + MAX_SITES_PER_ATOM
+    spacing = (len(cell_sites) * lattice_size.prod() / atom_count) ** (1 / 3)
+    shape = np.maximum(np.round(lattice_size / spacing), 1)
+    max_sites = MAX_SITES_PER_ATOM * atom_count + MAX_SITES_PER_ATOM
     if not len(cell_sites) * shape.prod() <= max_sites:
-        message = f"{total} atoms do not fill a lattice in a box of {size.tolist()} nm"
+        message = f"{atom_count} atoms do not fill a lattice in a box of "
+        message += f"{lattice_size.tolist()} nm"
         refuse(spec.code, message, "box", "use more equal sides")
     cell_counts = shape.astype(np.int64)
-    while len(cell_sites) * cell_counts.prod() < total:
-        cell_counts[np.argmax(size / cell_counts)] += 1
-    corners = np.indices(cell_counts).reshape(3, -1).T
-    sites = (corners[:, None] + cell_sites).reshape(-1, 3)
+    while len(cell_sites) * cell_counts.prod() < atom_count:
+        cell_counts[np.argmax(lattice_size / cell_counts)] += 1
+    cell_corners = np.indices(cell_counts).reshape(3, -1).T
+    sites = (cell_corners[:, None] + cell_sites).reshape(-1, 3)
     # If there are more sites than atoms, atoms are spread over them evenly.
-    site_indices = np.arange(total) * len(sites) // total
-    order = np.arange(total)
+    site_indices = np.arange(atom_count) * len(sites) // atom_count
+    order = np.arange(atom_count)
     if len(counts) > 1 and spec.lattice == "fcc":
-        randoms = uniform_samples(spec.seed, np.arange(total), 1)[:, 0]
-        order = np.argsort(randoms, kind="stable")
+        random_numbers = uniform_samples(spec.seed, np.arange(atom_count), 1)[:, 0]
+        order = np.argsort(random_numbers, kind="stable")
     elif len(counts) > 1:
-        cell_parities = corners[site_indices].sum(axis=1) % 2
+        cell_parities = cell_corners[site_indices].sum(axis=1) % 2
         order = np.argsort(cell_parities, kind="stable")
     points = (
-        sites[site_indices][order] / cell_counts * size
-        + (np.array(spec.box) - size) / 2
+        sites[site_indices][order] / cell_counts * lattice_size
+        + (np.array(spec.box) - lattice_size) / 2
     )
     return np.split(points, np.cumsum(counts)[:-1])
 
@@ -166,15 +177,17 @@ def _lattice_sites(spec: MoleculesModel, counts: list[int]) -> list[FloatArray]:
 def _initial_velocities(
     spec: MoleculesModel,
     masses: FloatArray,
-    kinds: npt.NDArray[np.int64],
+    species_indices: npt.NDArray[np.int64],
     velocities_from_files: list[FloatArray | None],
 ) -> FloatArray:
     """Return velocities from files, or thermal ones without momentum ``(N, 3)``."""
-    is_thermal = np.array([values is None for values in velocities_from_files])[kinds]
+    is_thermal = np.array([values is None for values in velocities_from_files])[
+        species_indices
+    ]
     velocities = np.zeros((len(masses), 3))
     for k, values in enumerate(velocities_from_files):
         if values is not None:
-            velocities[kinds == k] = values
+            velocities[species_indices == k] = values
     count = int(is_thermal.sum())
     if count < 2 or not spec.temperature:
         return velocities

@@ -77,10 +77,14 @@ class Interactions:
         energy_per_charge = screened_potential + self._damping / np.sqrt(np.pi)
         return -float(energy_per_charge * (self._charges**2).sum())
 
-    def valid_reference(self, x: FloatArray, before: FloatArray) -> FloatArray:
-        """Return ``before`` if its neighbour list is valid at ``x``, else ``x``."""
-        squares = ((x - before) ** 2).sum(axis=1)
-        return before if squares.max(initial=0.0) <= (self._skin / 2) ** 2 else x
+    def valid_reference(self, x: FloatArray, reference: FloatArray) -> FloatArray:
+        """Return ``reference`` if its neighbour list is valid at ``x``, else ``x``."""
+        squared_distances = ((x - reference) ** 2).sum(axis=1)
+        return (
+            reference
+            if squared_distances.max(initial=0.0) <= (self._skin / 2) ** 2
+            else x
+        )
 
     def forces_at(self, x: FloatArray, reference: FloatArray) -> AtomForces:
         """Return the forces on atoms, with the neighbour list of ``reference``.
@@ -97,11 +101,11 @@ class Interactions:
                 message = f"atoms overlap: {error}"
                 raise ToleranceError(Fault("SIM102", message)) from error
             self._neighbour_list = reference, pairs
-        order, starts, partners = self._neighbour_list[1]
+        order, partner_starts, partners = self._neighbour_list[1]
         sums = _kernels.molecule_forces(
-            x, order, starts, partners, self._box.size, self._atoms.entry_indices,
-            self._pair_coefficients, self._charges, self._cutoff,
-            self._switch_distance, self._damping,
+            x, order, partner_starts, partners, self._box.size,
+            self._atoms.entry_indices, self._pair_coefficients, self._charges,
+            self._cutoff, self._switch_distance, self._damping,
         )  # fmt: skip
         return AtomForces(*sums)
 
@@ -156,42 +160,45 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         self._periodic_box, self.box = periodic_box, periodic_box.size
         self._interactions = Interactions(spec, self.atoms, periodic_box)
         self._degrees_of_freedom = max(3 * len(self.bodies.masses) - 3, 1)
-        rates = [57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species]
+        squared_frequencies = [
+            57.15 * a.epsilon / a.sigma**2 / a.mass for a in spec.species
+        ]
         # The fastest crystal vibration of all species [rad/ps].
-        self._max_frequency = math.sqrt(8 * max(rates))
+        self._max_frequency = math.sqrt(8 * max(squared_frequencies))
 
     def finish_setup(self) -> None:
         """Check the initial state, and set colour ranges from that state."""
-        start, refusals = self.initial_state(), RefusalCollector()
+        initial_state, refusals = self.initial_state(), RefusalCollector()
         with refusals.collect():
-            self._check_numbers(start)
+            self._check_numbers(initial_state)
         with refusals.collect():
-            self._check_distinct(start)
+            self._check_distinct(initial_state)
         refusals.check()
         super().finish_setup()
 
-    def _check_numbers(self, start: MoleculeState) -> None:
+    def _check_numbers(self, initial_state: MoleculeState) -> None:
         """Raise SIM071 if the step is too long, or numbers overflow in the scene."""
         spec, step = self._spec, self._spec.step * self._spec.pace
         if step * self._max_frequency > MAX_STEP:
             message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
             message += f"{2 * math.pi / self._max_frequency:.3g} ps"
-            hint = f"use step: {self._suggested_step(start):.2g}, or a smaller pace"
+            suggested_step = self._suggested_step(initial_state)
+            hint = f"use step: {suggested_step:.2g}, or a smaller pace"
             refuse(spec.code, message, "step", hint)
-        if not np.isfinite(self._to_scene(start.motion)).all():
+        if not np.isfinite(self._to_scene(initial_state.motion)).all():
             message = "atoms are so far away or fast in the scene that numbers overflow"
             refuse(spec.code, message, "scale")
 
-    def _check_distinct(self, start: MoleculeState) -> None:
+    def _check_distinct(self, initial_state: MoleculeState) -> None:
         """Raise SIM071 if atoms overlap at the start."""
         well_depth = max(*(species.epsilon for species in self._spec.species), 1e-3)
-        energies = start.acting.energies
+        energies = initial_state.acting.energies
         if (energies < OVERLAP_ENERGY * well_depth).all():  # NaN is not
             return
         from scipy.spatial import cKDTree
 
         size = self._periodic_box.size
-        x = start.motion[0] % size
+        x = initial_state.motion[0] % size
         distances, neighbours = cKDTree(x % size, boxsize=size).query(x, 2)
         i = int(np.argmin(distances[:, 1]))
         first_atom, second_atom = sorted(neighbours[i].tolist())
@@ -201,7 +208,7 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         hint = "move one of them, or use a larger box"
         refuse(self._spec.code, message, "species", hint)
 
-    def _start(self, motion: FloatArray) -> MoleculeState:
+    def _build_initial_state(self, motion: FloatArray) -> MoleculeState:
         points = motion[0]
         forces = self._interactions.forces_at(points, points)
         return MoleculeState(motion, points, forces, 0.0, 0)
@@ -227,8 +234,8 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         size = self._periodic_box.size
         offsets = self._periodic_box.to_local(position) - x
         offsets -= size * np.round(offsets / size)
-        squares = (offsets * offsets).sum(axis=1)
-        proximity = np.maximum(1 - squares / trap.radius**2, 0.0)
+        squared_distances = (offsets * offsets).sum(axis=1)
+        proximity = np.maximum(1 - squared_distances / trap.radius**2, 0.0)
         force = (trap.stiffness * proximity**2)[:, None] * offsets
         return force, -(trap.stiffness * trap.radius**2 / 6 * proximity**3)
 
@@ -290,13 +297,13 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
 
     def _quantities(self, state: MoleculeState, t: float) -> Quantities:
         energies = state.acting.energies
-        squares = (state.motion[1] ** 2).sum(axis=1)
+        squared_speeds = (state.motion[1] ** 2).sum(axis=1)
         return {
             **super()._quantities(state, t),
             "temperature": lambda: (
-                self.bodies.masses * squares / (3 * BOLTZMANN_CONSTANT)
+                self.bodies.masses * squared_speeds / (3 * BOLTZMANN_CONSTANT)
             ),
-            "energy": lambda: 0.5 * self.bodies.masses * squares + energies,
+            "energy": lambda: 0.5 * self.bodies.masses * squared_speeds + energies,
         }
 
     def _report_values(self, state: MoleculeState, t: float) -> Mapping[str, float]:
@@ -323,7 +330,7 @@ def thermostat_factor(
     step: int,
     t: float,
     dt: float,
-    kinetic: float,
+    kinetic_energy: float,
     degrees_of_freedom: int,
 ) -> float:
     """Return the velocity scale factor of one thermostat step.
@@ -332,24 +339,26 @@ def thermostat_factor(
     rescaling, Journal of Chemical Physics 126, 2007, equation A7.
 
     Random numbers depend on the seed and on the index of the step, which ends at ``t``
-    [s] and takes ``dt`` [ps]. ``kinetic`` is the kinetic energy [kJ/mol].
+    [s] and takes ``dt`` [ps]. ``kinetic_energy`` is the kinetic energy [kJ/mol].
     """
     from scipy.special import gammaincinv
 
-    if not kinetic > 0 or degrees_of_freedom < 1:
+    if not kinetic_energy > 0 or degrees_of_freedom < 1:
         return 1.0
     times, temperatures = np.array(model.temperatures).T
-    target = BOLTZMANN_CONSTANT * float(np.interp(t, times, temperatures)) / 2
-    randoms = uniform_samples(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
-    random, second_random = np.clip(randoms, 2.0**-53, 1 - 2.0**-53)
+    target_energy = BOLTZMANN_CONSTANT * float(np.interp(t, times, temperatures)) / 2
+    random_numbers = uniform_samples(seed + _THERMOSTAT_SEED, np.array([step]), 2)[0]
+    random, second_random = np.clip(random_numbers, 2.0**-53, 1 - 2.0**-53)
     normal = float(normal_samples(random))
     # Sum of squares of the other normal samples.
-    squares = 0.0
+    other_squares = 0.0
     if degrees_of_freedom > 1:
-        squares = 2 * float(gammaincinv((degrees_of_freedom - 1) / 2, second_random))
+        other_squares = 2 * float(
+            gammaincinv((degrees_of_freedom - 1) / 2, second_random)
+        )
     decay = float(np.exp(-dt / model.relaxation))
-    exchanged_fraction = target / kinetic * (1 - decay)
-    squared_factor = decay + exchanged_fraction * (normal**2 + squares)
+    exchanged_fraction = target_energy / kinetic_energy * (1 - decay)
+    squared_factor = decay + exchanged_fraction * (normal**2 + other_squares)
     squared_factor += 2 * normal * np.sqrt(decay * exchanged_fraction)
     factor = float(np.sqrt(max(squared_factor, 0.0)))
     is_reversed = normal * np.sqrt(exchanged_fraction) + np.sqrt(decay) < 0

@@ -58,12 +58,14 @@ class MassProfile:
         total_mass = mass_inside
         # Softened bodies attract as Plummer spheres.
         softening_factor = (self.r**2 / (self.r**2 + softening**2)) ** 1.5
-        speeds = constant * mass_inside / self.r * softening_factor
+        squared_speeds = constant * mass_inside / self.r * softening_factor
         if galaxy.disc is not None:
             total_mass = mass_inside + enclosed_mass(galaxy.disc, self.r)
-            disc_speeds = constant * squared_disc_speeds(galaxy.disc, self.r)
-            speeds = speeds + disc_speeds * softening_factor
-        self.circular_velocities = np.sqrt(speeds)  # [m/s]
+            squared_disc_velocities = constant * squared_disc_speeds(
+                galaxy.disc, self.r
+            )
+            squared_speeds = squared_speeds + squared_disc_velocities * softening_factor
+        self.circular_velocities = np.sqrt(squared_speeds)  # [m/s]
         # [m/s²]
         self.accelerations = constant * total_mass / self.r**2 * softening_factor
         outer_potential = constant * total_mass[-1] / self.r[-1]
@@ -77,8 +79,8 @@ class MassProfile:
         density = np.maximum(density, 0.0)
         pressure = _integral_to_end(density * self.accelerations, self.r)
         min_density = density.max() * 1e-12
-        squares = pressure / np.maximum(density, min_density)
-        return np.sqrt(np.where(density > min_density, squares, 0.0))
+        squared_dispersions = pressure / np.maximum(density, min_density)
+        return np.sqrt(np.where(density > min_density, squared_dispersions, 0.0))
 
 
 def _integral_to_end(values: FloatArray, r: FloatArray) -> FloatArray:
@@ -124,19 +126,21 @@ def build_galaxies(spec: NbodyModel) -> list[PointMasses]:
     """Return the bodies of each galaxy of a spec at the start positions."""
     constant, softening = spec.gravity_constant, spec.softening
     galaxies = [build_galaxy(galaxy, constant, softening) for galaxy in spec.galaxies]
-    starts = [
+    initial_motions = [
         (np.array(galaxy.at), np.array(galaxy.velocity)) for galaxy in spec.galaxies
     ]
     if spec.encounter is not None:
         masses = [galaxy.masses.sum() for galaxy in galaxies]
-        starts = orbit_motions(spec.encounter, masses, constant)
-    result = []
-    for model, bodies, (centre, v) in zip(spec.galaxies, galaxies, starts, strict=True):
-        frame = matter.UnitFrame(centre, unit_quaternion(model.rotate))
-        points = frame.to_scene(bodies.points)
-        velocities = frame.velocities_to_scene(bodies.velocities) + v
-        result.append(PointMasses(points, velocities, bodies.masses))
-    return result
+        initial_motions = orbit_motions(spec.encounter, masses, constant)
+    placed_galaxies = []
+    for model, bodies, (centre, v) in zip(
+        spec.galaxies, galaxies, initial_motions, strict=True
+    ):
+        galaxy_frame = matter.UnitFrame(centre, unit_quaternion(model.rotate))
+        points = galaxy_frame.to_scene(bodies.points)
+        velocities = galaxy_frame.velocities_to_scene(bodies.velocities) + v
+        placed_galaxies.append(PointMasses(points, velocities, bodies.masses))
+    return placed_galaxies
 
 
 def build_galaxy(galaxy: GalaxyModel, constant: float, softening: float) -> PointMasses:
@@ -166,9 +170,9 @@ def _build_spheroid(
     u = uniform_samples(seed, np.arange(spheroid.count), 6)
     masses_inside = enclosed_mass(spheroid, profile.r)
     r = np.interp(u[:, 0] * spheroid.mass, masses_inside, profile.r)
-    sigma = np.interp(r, profile.r, profile.velocity_dispersion(spheroid))
+    dispersions = np.interp(r, profile.r, profile.velocity_dispersion(spheroid))
     max_speeds = MAX_SPEED_RATIO * np.interp(r, profile.r, profile.escape_velocities)
-    velocities = sigma[:, None] * matter.normal_samples(u[:, 3:6])
+    velocities = dispersions[:, None] * matter.normal_samples(u[:, 3:6])
     speeds = np.linalg.norm(velocities, axis=1)
     velocities *= np.minimum(max_speeds / np.maximum(speeds, 1e-300), 1.0)[:, None]
     masses = np.full(spheroid.count, spheroid.mass / spheroid.count)
@@ -183,13 +187,13 @@ def _build_disc(disc: DiscModel, profile: MassProfile, seed: int) -> PointMasses
     angles = 2 * np.pi * u[:, 1]
     scale_height = disc.thickness * disc.radius
     heights = scale_height * np.arctanh(np.clip(2 * u[:, 2] - 1, -0.999, 0.999))
-    tables = disc_velocities(disc, profile)
-    radial, azimuthal, vertical_dispersion, mean = (
-        np.interp(r, profile.r, table) for table in tables
+    velocity_tables = disc_velocities(disc, profile)
+    radial, azimuthal, vertical_dispersion, mean_rotation = (
+        np.interp(r, profile.r, table) for table in velocity_tables
     )
     normal = matter.normal_samples(u[:, 3:6])
     radial_velocities = radial * normal[:, 0]
-    azimuthal_velocities = mean + azimuthal * normal[:, 1]
+    azimuthal_velocities = mean_rotation + azimuthal * normal[:, 1]
     cos, sin = np.cos(angles), np.sin(angles)
     # Right-handed about y: from z to x.
     points = np.stack([r * sin, heights, r * cos], axis=1)
@@ -208,21 +212,30 @@ def disc_velocities(
     """
     r, circular = profile.r, profile.circular_velocities
     angular_velocity = circular / r
-    squares = np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
-    epicyclic_frequency = np.sqrt(np.maximum(squares, 1e-300))
+    squared_frequency = (
+        np.gradient(angular_velocity**2, r) * r + 4 * angular_velocity**2
+    )
+    epicyclic_frequency = np.sqrt(np.maximum(squared_frequency, 1e-300))
     surface_densities = surface_density(disc, r)
     toomre_factor = disc.stability * TOOMRE_CONSTANT * profile.constant
     radial_dispersion = toomre_factor * surface_densities / epicyclic_frequency
     radial_dispersion = np.minimum(radial_dispersion, MAX_DISPERSION_RATIO * circular)
-    ratio = epicyclic_frequency / np.maximum(2 * angular_velocity, 1e-300)
-    squared_drift = radial_dispersion**2 * (1 - ratio**2 - 2 * r / disc.radius)
-    mean = np.sqrt(np.maximum(circular**2 + squared_drift, 0.0))
+    dispersion_ratio = epicyclic_frequency / np.maximum(2 * angular_velocity, 1e-300)
+    squared_drift = radial_dispersion**2 * (
+        1 - dispersion_ratio**2 - 2 * r / disc.radius
+    )
+    mean_rotation = np.sqrt(np.maximum(circular**2 + squared_drift, 0.0))
     height = disc.thickness * disc.radius
     vertical_dispersion = np.sqrt(np.pi * profile.constant * surface_densities * height)
     vertical_dispersion = (
         vertical_dispersion if disc.stability else 0 * vertical_dispersion
     )
-    return radial_dispersion, radial_dispersion * ratio, vertical_dispersion, mean
+    return (
+        radial_dispersion,
+        radial_dispersion * dispersion_ratio,
+        vertical_dispersion,
+        mean_rotation,
+    )
 
 
 def orbit_motions(
@@ -241,8 +254,8 @@ def orbit_motions(
     orbit_rotation = unit_quaternion(orbit.rotate)
     separation = so3.rotate(orbit_rotation, separation)
     velocity = so3.rotate(orbit_rotation, velocity)
-    fractions = -masses[1] / total_mass, masses[0] / total_mass
+    mass_fractions = -masses[1] / total_mass, masses[0] / total_mass
     return [
         (np.array(orbit.at) + fraction * separation, fraction * velocity)
-        for fraction in fractions
+        for fraction in mass_fractions
     ]

@@ -64,10 +64,10 @@ class CloseEncounterError(Exception):
 
 
 def _check_closest_pair(
-    limit: float, t: float, x: FloatArray, gravity: MutualGravity
+    max_squared_rate: float, t: float, x: FloatArray, gravity: MutualGravity
 ) -> None:
-    """Raise `CloseEncounterError` if a pair orbits faster than a limit [1/s²]."""
-    if len(x) and gravity.rates.max() > limit:
+    """Raise `CloseEncounterError` if a pair's squared orbital rate is too large."""
+    if len(x) and gravity.rates.max() > max_squared_rate:
         raise CloseEncounterError(t, x, gravity.rates)
 
 
@@ -137,7 +137,7 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         is_large = len(self.bodies.masses) > min_bodies
         self.uses_tree = spec.accuracy >= MIN_TREE_ACCURACY and is_large
 
-    def _start(self, motion: FloatArray) -> NbodyState:
+    def _build_initial_state(self, motion: FloatArray) -> NbodyState:
         return NbodyState(motion, self.compute_sums(motion[0]), 0, 1)
 
     def _state_sums(self, state: NbodyState) -> MutualGravity:
@@ -173,13 +173,17 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def _fastest_pair(self, x: FloatArray, rates: FloatArray) -> tuple[float, str]:
         """Return the mass [kg] and a description of the pair with the fastest orbit."""
         masses, i = self.bodies.masses, int(np.argmax(rates))
-        squares = ((x - x[i]) ** 2).sum(axis=1)
-        cubes = np.maximum(squares + self._spec.softening**2, 1e-200) ** 1.5
-        pair_rates = (masses + masses[i]) / cubes
+        squared_distances = ((x - x[i]) ** 2).sum(axis=1)
+        cubed_distances = (
+            np.maximum(squared_distances + self._spec.softening**2, 1e-200) ** 1.5
+        )
+        pair_rates = (masses + masses[i]) / cubed_distances
         pair_rates[i] = -1.0
         j = int(np.argmax(pair_rates))
-        names = f"bodies {min(i, j)} and {max(i, j)}"
-        return masses[i] + masses[j], f"{names} are {math.sqrt(squares[j]):.3g} m apart"
+        names_text = f"bodies {min(i, j)} and {max(i, j)}"
+        return masses[i] + masses[
+            j
+        ], f"{names_text} are {math.sqrt(squared_distances[j]):.3g} m apart"
 
     @np.errstate(all="ignore")
     def step(self, state: NbodyState, t: float, dt: float) -> NbodyState:
@@ -190,11 +194,13 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         substep_count = self._required_substeps(state.gravity.rates, dt)
         encounter = CloseEncounterError(t, state.motion[0], state.gravity.rates)
         while substep_count <= self._spec.substeps:
-            limit, step = math.inf, dt
+            max_squared_rate, step = math.inf, dt
             if self._has_fixed_steps:
-                limit = (RATE_TOLERANCE * self._max_phase * substep_count / dt) ** 2
+                max_squared_rate = (
+                    RATE_TOLERANCE * self._max_phase * substep_count / dt
+                ) ** 2
                 step = dt / substep_count
-            system = self._system(state, partial(_check_closest_pair, limit))
+            system = self._system(state, partial(_check_closest_pair, max_squared_rate))
             try:
                 motion = self._integrate(system, t, dt, step)
             except CloseEncounterError as error:
@@ -223,10 +229,10 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
         self, dt: float, t: float, x: FloatArray, rates: FloatArray
     ) -> StoppedError:
         """Return an error if the finest substeps do not resolve a pair."""
-        (mass, pair), max_substeps = self._fastest_pair(x, rates), self._spec.substeps
-        message = (
-            f"{pair} at {t:.6g} s, too close for steps of {dt / max_substeps:.3g} s"
-        )
+        mass, pair_text = self._fastest_pair(x, rates)
+        max_substeps = self._spec.substeps
+        message = f"{pair_text} at {t:.6g} s, too close for steps of "
+        message += f"{dt / max_substeps:.3g} s"
         max_rate = (MAX_STEP_PHASE * max_substeps / dt) ** 2
         softening_length = (self._spec.gravity_constant * mass / max_rate) ** (1 / 3)
         hint = f"use softening: {1.05 * softening_length:.3g}, or more substeps"
@@ -299,7 +305,9 @@ class Nbody(Interacting[NbodyState, MutualGravity]):
     def _direct_sum(self, x: FloatArray, position: FloatArray) -> FloatArray:
         """Return the acceleration at a position by direct summation ``(3,)``."""
         offsets = x - position
-        squares = (offsets * offsets).sum(axis=1)
-        squares = np.where(squares > 0, squares + self._spec.softening**2, np.inf)
-        weights = self.bodies.masses / (squares * np.sqrt(squares))
+        squared_distances = (offsets * offsets).sum(axis=1)
+        squared_distances = np.where(
+            squared_distances > 0, squared_distances + self._spec.softening**2, np.inf
+        )
+        weights = self.bodies.masses / (squared_distances * np.sqrt(squared_distances))
         return np.asarray(self._spec.gravity_constant * weights @ offsets)

@@ -44,10 +44,10 @@ def uniform_samples(seed: int, keys: IntArray, count: int) -> FloatArray:
     >>> bool((samples[7] == uniform_samples(1, np.array([7]), 2)).all())
     True
     """
-    start = hash64(np.array([seed % 2**64], np.uint64))
-    key_hashes = hash64(keys.astype(np.uint64) ^ start)
-    columns = np.arange(count, dtype=np.uint64) * _HASH_INCREMENT
-    bits = hash64(key_hashes[:, None] + columns)
+    seed_hash = hash64(np.array([seed % 2**64], np.uint64))
+    key_hashes = hash64(keys.astype(np.uint64) ^ seed_hash)
+    column_offsets = np.arange(count, dtype=np.uint64) * _HASH_INCREMENT
+    bits = hash64(key_hashes[:, None] + column_offsets)
     return np.asarray((bits >> np.uint64(11)).astype(np.float64) * 2.0**-53)
 
 
@@ -135,12 +135,14 @@ class Emitter(Emission, CheckedRecord):
         self, births: Births
     ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
         """Return positions, velocities ``(N, 3)``, lifetimes and radii ``(N,)``."""
-        randoms = uniform_samples(self.seed, births.keys, _RANDOM_COUNT)
-        points, outwards = self.place.points(randoms[:, :3])
-        directions = self._directions(randoms[:, 3:5], outwards)
-        speeds = self.speed + self.speed_spread * (2 * randoms[:, 5] - 1)
-        lifetimes = self.lifetime + self.lifetime_spread * (2 * randoms[:, 6] - 1)
-        radii = self.radius + self.radius_spread * (2 * randoms[:, 7] - 1)
+        random_numbers = uniform_samples(self.seed, births.keys, _RANDOM_COUNT)
+        points, outwards = self.place.points(random_numbers[:, :3])
+        directions = self._directions(random_numbers[:, 3:5], outwards)
+        speeds = self.speed + self.speed_spread * (2 * random_numbers[:, 5] - 1)
+        lifetimes = self.lifetime + self.lifetime_spread * (
+            2 * random_numbers[:, 6] - 1
+        )
+        radii = self.radius + self.radius_spread * (2 * random_numbers[:, 7] - 1)
         velocities = directions * speeds[:, None]
         positions, velocities = self._to_world(births.times, points, velocities)
         return positions, velocities, np.maximum(lifetimes, 0.0), radii
@@ -151,19 +153,19 @@ class Emitter(Emission, CheckedRecord):
         return burst.sample_births(burst.births(t, None, t, count))[:2]
 
     def _directions(
-        self, randoms: FloatArray, outwards: FloatArray | None
+        self, random_numbers: FloatArray, outwards: FloatArray | None
     ) -> FloatArray:
         """Return random directions in the cone of the emitter ``(N, 3)``."""
         axis = np.array([0.0, 1.0, 0.0] if self.direction is None else self.direction)
         if not MIN_DIRECTION_LENGTH < np.linalg.norm(axis) < 1 / MIN_DIRECTION_LENGTH:
             axis = axis / np.abs(axis).max()
-        axes = np.broadcast_to(axis.astype(np.float64), (len(randoms), 3))
+        axes = np.broadcast_to(axis.astype(np.float64), (len(random_numbers), 3))
         if outwards is not None and self.direction is None:
             axes = outwards
         axes = axes / np.linalg.norm(axes, axis=1)[:, None]
-        height = 1 - randoms[:, :1] * (1 - math.cos(self.spread))
+        height = 1 - random_numbers[:, :1] * (1 - math.cos(self.spread))
         radius = np.sqrt(np.maximum(1 - height * height, 0))
-        angle = 2 * np.pi * randoms[:, 1:]
+        angle = 2 * np.pi * random_numbers[:, 1:]
         smallest_axis_indices = np.argmin(np.abs(axes), axis=1)
         first_tangent = np.cross(axes, np.eye(3)[smallest_axis_indices])
         first_tangent /= np.linalg.norm(first_tangent, axis=1)[:, None]

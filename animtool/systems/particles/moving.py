@@ -138,9 +138,11 @@ class ParticleFlow(_ParticleSystem, FirstOrder):
     ) -> FloatArray:
         """Return the state after collisions."""
         velocities = (after - before) / h
-        start = np.stack([before, velocities])
+        start_state = np.stack([before, velocities])
         radii = self.particles.radii
-        collision = collide(after, velocities, start, self._colliders, t - h, t, radii)
+        collision = collide(
+            after, velocities, start_state, self._colliders, t - h, t, radii
+        )
         self.contacts = collision.contacts
         return collision.points if collision.contacts.any.any() else after
 
@@ -174,10 +176,10 @@ def force_accelerations(
 
     The time is one for all particles, or one per particle ``(N,)`` [s].
     """
-    total = np.zeros_like(x)
+    total_forces = np.zeros_like(x)
     for force in setup.forces:
-        total += force.force(t, x, v, particles)
-    return total / particles.masses[:, None]
+        total_forces += force.force(t, x, v, particles)
+    return total_forces / particles.masses[:, None]
 
 
 def advance_births(
@@ -218,8 +220,8 @@ def _integrate_births(
     def rate(fraction: float, state: FloatArray) -> FloatArray:
         times = particles.births + fraction * durations
         if setup.velocity is not None:
-            speed = setup.velocity.velocity(times, state[0], particles)
-            return np.stack([speed, np.zeros_like(speed)])
+            velocities = setup.velocity.velocity(times, state[0], particles)
+            return np.stack([velocities, np.zeros_like(velocities)])
         accelerations = force_accelerations(setup, particles, times, *state)
         return np.stack([state[1], accelerations])
 
@@ -289,13 +291,16 @@ class DivergenceCheck:
         kinetic, potential = self._first_energies.sum(axis=1).tolist()
         current_kinetic, current_potential = current_energies.sum(axis=1).tolist()
         total, first_total = current_kinetic + current_potential, kinetic + potential
-        scale = max(
+        energy_scale = max(
             abs(first_total),
             kinetic,
             abs(potential),
             potential - current_potential,
             float(self._particles.masses.sum()) * self._colliders.max_speed**2,
         )
-        if scale > 0 and not total - first_total <= self._setup.options.growth * scale:
+        if (
+            energy_scale > 0
+            and not total - first_total <= self._setup.options.growth * energy_scale
+        ):
             return f"its energy rose from {first_total:.3g} J to {total:.3g} J"
         return ""

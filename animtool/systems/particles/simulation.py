@@ -193,10 +193,12 @@ class ParticleSimulation:
         modes = None if self._step_warnings else system.frequencies(start, system.state)
         if modes is None:
             return
-        previous = self._fastest_modes
+        previous_modes = self._fastest_modes
         has_changed = np.ones(1, bool)
-        if previous is not None and previous.shape == modes.shape:
-            has_changed = np.abs(modes - previous) > MODE_TOLERANCE * previous
+        if previous_modes is not None and previous_modes.shape == modes.shape:
+            has_changed = (
+                np.abs(modes - previous_modes) > MODE_TOLERANCE * previous_modes
+            )
         if not has_changed.any():
             return
         self._fastest_modes = modes
@@ -307,19 +309,19 @@ class ParticleSimulation:
         if not len(stuck_indices):
             return
         label = f"particle {int(particles.ids[stuck_indices[0]])}"
-        index, setup = int(contacts.colliders[stuck_indices[0]]), self.setup
-        names = [
+        collider_index, setup = int(contacts.colliders[stuck_indices[0]]), self.setup
+        collider_names = [
             collider.name or f"colliders[{i}]"
             for i, collider in enumerate(setup.colliders)
         ]
-        names += [
+        collider_names += [
             collider.name for system in setup.bodies for collider in system.colliders
         ]
-        names += [
+        collider_names += [
             collider.name or f"sheets[{i}]" for i, collider in enumerate(setup.sheets)
         ]
-        message = f"{label} is inside {names[index]!r} at {t:g} s, and cannot be "
-        message += "pushed out at once"
+        message = f"{label} is inside {collider_names[collider_index]!r} at {t:g} s, "
+        message += "and cannot be pushed out at once"
         hint = "particles start inside, or colliders close in on them from several "
         yield warning("SIM123", message, f"{hint}sides", self.setup.name)
 
@@ -353,7 +355,7 @@ class ParticleSimulation:
         """Return a warning that no particles exist until a time [s] (SIM188)."""
         message = "there are no particles in any frame"
         emitters = self.setup.emitters
-        regions = [
+        covering_regions = [
             k
             for k, region in enumerate(self._kill_regions)
             if all(
@@ -361,8 +363,8 @@ class ParticleSimulation:
                 for emitter in emitters
             )
         ]
-        if regions:
-            k = regions[0]
+        if covering_regions:
+            k = covering_regions[0]
             region = self.setup.kills[k].region
             message += f": kill[{k}] contains all emitters, and removes what is "
             if isinstance(region.shape, Plane):

@@ -63,8 +63,8 @@ def evaluate_expressions(
     times = np.broadcast_to(np.asarray(t, np.float64), len(x))
     ages = times - particles.births
     variables = [*x.T, *v.T, times, ages, particles.masses, particles.charges]
-    values = dict(zip(VARIABLES, variables, strict=True))
-    components = [expression.evaluate(values) for expression in expressions]
+    values_by_variable = dict(zip(VARIABLES, variables, strict=True))
+    components = [expression.evaluate(values_by_variable) for expression in expressions]
     return np.stack([np.broadcast_to(value, len(x)) for value in components], axis=1)
 
 

@@ -240,9 +240,9 @@ class RigidBodies:
         of the first of `colliders` among all colliders.
         """
         shape_counts = np.array([len(kind.shapes) for kind in self.kinds], np.int64)
-        counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])
+        collider_counts = np.where(self.is_dynamic, 0, shape_counts[self.kind_of_body])
         first_index = len(self.dynamic_indices) + static_count
-        first_shapes = first_index + np.cumsum(counts) - counts
+        first_shapes = first_index + np.cumsum(collider_counts) - collider_counts
         dynamic_indices = np.cumsum(self.is_dynamic) - 1
         kernel_pairs: list[tuple[int, int]] = []
         for first_body, second_body in pairs.tolist():
@@ -252,7 +252,9 @@ class RigidBodies:
             if self.is_dynamic[b]:
                 kernel_pairs.append((int(dynamic_indices[a]), int(dynamic_indices[b])))
             elif self.is_dynamic[a]:
-                shapes = range(int(first_shapes[b]), int(first_shapes[b] + counts[b]))
+                shapes = range(
+                    int(first_shapes[b]), int(first_shapes[b] + collider_counts[b])
+                )
                 kernel_pairs += [(int(dynamic_indices[a]), shape) for shape in shapes]
         return np.array(kernel_pairs, np.int64).reshape(-1, 2)
 
@@ -336,18 +338,18 @@ class RigidBodies:
         return self._indices_by_name[name]
 
 
-def refuse_unknown(name: str, names: Sequence[str], key: str) -> NoReturn:
+def refuse_unknown(name: str, known_names: Sequence[str], key: str) -> NoReturn:
     """Raise SIM061 for an unknown body name."""
-    numbers = [
+    copy_numbers = [
         int(number[:-1])
-        for other_name, _, number in (known.rpartition("[") for known in names)
+        for other_name, _, number in (known.rpartition("[") for known in known_names)
         if other_name == name and number[:-1].isdigit()
     ]
-    hint = name_hint(name, names) or ""
-    if numbers:
-        hint = f"{name!r} has {counted(len(numbers), 'copy', 'copies')}: write "
+    hint = name_hint(name, known_names) or ""
+    if copy_numbers:
+        hint = f"{name!r} has {counted(len(copy_numbers), 'copy', 'copies')}: write "
         hint += f"'{name}[0]'"
-        hint += f" to '{name}[{max(numbers)}]'" if len(numbers) > 1 else ""
+        hint += f" to '{name}[{max(copy_numbers)}]'" if len(copy_numbers) > 1 else ""
     refuse("SIM061", f"unknown body {name!r}", key, hint)
 
 
@@ -363,11 +365,11 @@ def offset_poses(poses: Poses, offset: FloatArray, rotation: FloatArray) -> Pose
     """Return poses over time, with a fixed offset in the local frame."""
     if not offset.any() and rotation[3] == 1:
         return poses
-    rows = poses.rows
+    pose_rows = poses.rows
     return Poses(
         poses.sample_times,
-        rows[:, :3] + so3.rotate(rows[:, 3:], offset),
-        so3.multiply(rows[:, 3:], rotation),
+        pose_rows[:, :3] + so3.rotate(pose_rows[:, 3:], offset),
+        so3.multiply(pose_rows[:, 3:], rotation),
     )
 
 

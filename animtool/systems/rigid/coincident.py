@@ -28,20 +28,24 @@ def coincident_pairs(bodies: RigidBodies, joints: Joints) -> list[tuple[int, int
         <= _MAX_GIMBAL_OFFSET * bodies.bounding_radii[joint.bodies[1]]
     }
     shape_keys = [_shape_key(kind) for kind in bodies.kinds]
-    first_bodies: dict[tuple[object, ...], int] = {}
+    first_body_by_key: dict[tuple[object, ...], int] = {}
     pairs = []
     for i, pose in enumerate(bodies.poses):
-        values = np.round(pose.at(bodies.begin), _DECIMALS) + 0.0
-        key = (shape_keys[int(bodies.kind_of_body[i])], *values.tolist())
-        first = first_bodies.setdefault(key, i)
-        is_dynamic = bodies.is_dynamic[i] or bodies.is_dynamic[first]
-        if first != i and is_dynamic and frozenset((first, i)) not in gimbal_pairs:
-            pairs.append((first, i))
+        pose_values = np.round(pose.at(bodies.begin), _DECIMALS) + 0.0
+        key = (shape_keys[int(bodies.kind_of_body[i])], *pose_values.tolist())
+        first_body = first_body_by_key.setdefault(key, i)
+        is_dynamic = bodies.is_dynamic[i] or bodies.is_dynamic[first_body]
+        if (
+            first_body != i
+            and is_dynamic
+            and frozenset((first_body, i)) not in gimbal_pairs
+        ):
+            pairs.append((first_body, i))
     return pairs
 
 
 def _shape_key(kind: BodyKind) -> tuple[object, ...]:
-    """Return what is equal for bodies of equal shapes and masses."""
+    """Return a key that is equal for bodies of equal shapes and masses."""
     shapes = kind.model.model_dump(include={"shape", "shapes"})
     # The points of a mesh are not in the model.
     numbers = np.concatenate([[kind.mass], kind.centre, kind.moments])

@@ -114,19 +114,21 @@ def _convex_hull(points: FloatArray) -> ConvexCore:
     except QhullError:
         raise ValueError("its points are coplanar: it has no volume") from None
     # Coplanar triangles are merged to one face.
-    normals, planes = hull.equations[:, :3], []
+    normals, plane_groups = hull.equations[:, :3], []
     remaining_faces = list(range(len(normals)))
     while remaining_faces:
-        reference = remaining_faces[0]
-        differences = normals[remaining_faces] - normals[reference]
+        first_face = remaining_faces[0]
+        differences = normals[remaining_faces] - normals[first_face]
         is_coplanar = np.linalg.norm(differences, axis=1) < COPLANAR_ANGLE
-        planes.append((normals[reference], np.array(remaining_faces)[is_coplanar]))
+        plane_groups.append(
+            (normals[first_face], np.array(remaining_faces)[is_coplanar])
+        )
         remaining_faces = np.array(remaining_faces)[~is_coplanar].tolist()
     corners = np.unique(hull.simplices)
     new_indices = np.full(len(points), -1)
     new_indices[corners] = np.arange(len(corners))
     faces = []
-    for normal, triangles in planes:
+    for normal, triangles in plane_groups:
         face_corners = np.unique(hull.simplices[triangles])
         offsets = points[face_corners] - points[face_corners].mean(axis=0)
         tangent = np.cross(normal, offsets[0])
@@ -147,8 +149,8 @@ def core_solid(shape: Shape, core: ConvexCore) -> SolidProperties:
             return _capsule_properties(shape)
         case Box():
             volume = float(np.prod(shape.size))
-            squares = np.square(np.asarray(shape.size, np.float64))
-            inertia = np.diag(squares.sum() - squares) * volume / 12
+            squared_sizes = np.square(np.asarray(shape.size, np.float64))
+            inertia = np.diag(squared_sizes.sum() - squared_sizes) * volume / 12
             return SolidProperties(volume, np.zeros(3), inertia)
     return hull_solid(core)
 
@@ -166,15 +168,19 @@ def hull_solid(core: ConvexCore) -> SolidProperties:
 def _capsule_properties(shape: Capsule) -> SolidProperties:
     """Return the mass properties of a capsule of density 1."""
     r, length = shape.radius, shape.length
-    cylinder, caps = np.pi * r * r * length, 4 / 3 * np.pi * r**3
+    cylinder_volume, caps_volume = np.pi * r * r * length, 4 / 3 * np.pi * r**3
     # Two hemispheres, with centres 3/8 of the radius beyond the ends of the segment.
-    axial = 0.5 * cylinder * r * r + 0.4 * caps * r * r
-    transverse = cylinder * (r * r / 4 + length**2 / 12)
-    transverse += caps * (0.4 * r * r + length**2 / 4 + 3 / 8 * length * r)
+    axial_moment = 0.5 * cylinder_volume * r * r + 0.4 * caps_volume * r * r
+    transverse_moment = cylinder_volume * (r * r / 4 + length**2 / 12)
+    transverse_moment += caps_volume * (
+        0.4 * r * r + length**2 / 4 + 3 / 8 * length * r
+    )
     axis = np.asarray(shape.axis, np.float64) / np.linalg.norm(shape.axis)
-    inertia = transverse * np.eye(3) + (axial - transverse) * np.outer(axis, axis)
+    inertia = transverse_moment * np.eye(3) + (
+        axial_moment - transverse_moment
+    ) * np.outer(axis, axis)
     centre = np.asarray(shape.centre, np.float64)
-    return SolidProperties(cylinder + caps, centre, inertia)
+    return SolidProperties(cylinder_volume + caps_volume, centre, inertia)
 
 
 def enclosed_solid(triangles: FloatArray) -> SolidProperties:
@@ -187,9 +193,11 @@ def enclosed_solid(triangles: FloatArray) -> SolidProperties:
     a, b, c = (triangles - origin).swapaxes(0, 1)
     volumes = np.einsum("ti,ti->t", a, np.cross(b, c)) / 6
     volume = float(volumes.sum())
-    corners = a + b + c
-    centre = volumes @ corners / 4 / volume
-    products = sum(np.einsum("t,ti,tj->ij", volumes, p, p) for p in (a, b, c, corners))
+    corner_sums = a + b + c
+    centre = volumes @ corner_sums / 4 / volume
+    products = sum(
+        np.einsum("t,ti,tj->ij", volumes, p, p) for p in (a, b, c, corner_sums)
+    )
     moment_matrix = np.asarray(products) / 20 - volume * np.outer(centre, centre)
     inertia = np.trace(moment_matrix) * np.eye(3) - moment_matrix
     return SolidProperties(volume, origin + centre, inertia)
@@ -214,7 +222,7 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
     y_axis = axis / length if length else np.array([0.0, 1.0, 0.0])
     x_axis = np.cross(y_axis, [1.0, 0, 0] if abs(y_axis[0]) < 0.9 else [0.0, 1, 0])
     x_axis /= np.linalg.norm(x_axis)
-    frame = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
+    cap_axes = np.stack([x_axis, y_axis, np.cross(x_axis, y_axis)])
     angles = np.arange(FACET_COUNT) * (2 * np.pi / FACET_COUNT)
     circle = np.stack([np.cos(angles), np.ones(FACET_COUNT), np.sin(angles)], axis=1)
     rings, rings_per_cap = [], FACET_COUNT // 4
@@ -222,28 +230,28 @@ def core_mesh(core: ConvexCore) -> tuple[FloatArray, IntArray, IntArray]:
         angle = height * np.pi / 2 / rings_per_cap
         ring = circle * np.array([np.cos(angle), np.sin(angle), np.cos(angle)])
         end = first_end if i < rings_per_cap else last_end
-        rings.append(end + core.radius * ring @ frame)
+        rings.append(end + core.radius * ring @ cap_axes)
     # A sphere has one ring at its equator.
     rings = rings if length else rings[:rings_per_cap] + rings[rings_per_cap + 1 :]
     offset = core.radius * y_axis
     points = np.concatenate([*rings, [first_end - offset, last_end + offset]])
-    count, facets = len(rings), np.arange(FACET_COUNT)
+    ring_count, facets = len(rings), np.arange(FACET_COUNT)
     next_facets = (facets + 1) % FACET_COUNT
     quads = [
         np.stack([r * FACET_COUNT + facets, (r + 1) * FACET_COUNT + facets,
                   (r + 1) * FACET_COUNT + next_facets, r * FACET_COUNT + next_facets],
                  axis=1)
-        for r in range(count - 1)
+        for r in range(ring_count - 1)
     ]  # fmt: skip
-    bottom_pole = np.full(FACET_COUNT, count * FACET_COUNT)
-    last_ring = (count - 1) * FACET_COUNT
+    bottom_pole = np.full(FACET_COUNT, ring_count * FACET_COUNT)
+    last_ring = (ring_count - 1) * FACET_COUNT
     caps = [
         np.stack([bottom_pole, facets, next_facets], axis=1),
         np.stack(
             [bottom_pole + 1, last_ring + next_facets, last_ring + facets], axis=1
         ),
     ]
-    counts = np.repeat([4, 3], [FACET_COUNT * (count - 1), 2 * FACET_COUNT])
+    counts = np.repeat([4, 3], [FACET_COUNT * (ring_count - 1), 2 * FACET_COUNT])
     corners = np.concatenate([*(q.ravel() for q in quads), *(c.ravel() for c in caps)])
     return points, counts, corners
 
@@ -284,11 +292,11 @@ def _decompose(
     )
     pieces = []
     for vertices, faces in hulls:
-        part_mesh = Mesh(
+        piece_mesh = Mesh(
             np.asarray(vertices, np.float64), np.asarray(faces), closed=True
         )
         try:
-            pieces.append((part_mesh, core_of(part_mesh)))
+            pieces.append((piece_mesh, core_of(piece_mesh)))
         except ValueError:
             # Pieces without volume support nothing.
             continue

@@ -64,37 +64,38 @@ def free_flight(
     v: FloatArray,
 ) -> Flight:
     """Return positions and velocities ``(N, 3)`` after a step [s] without contacts."""
-    end, time, step = t + dt, t, dt
+    end_time, time, step = t + dt, t, dt
     start_acceleration = acceleration_at(t, x, v)
     start_jacobians = jacobians_at(t, x, v)
     points, velocities = x, v
     acceleration, jacobians = start_acceleration, start_jacobians
     substeps_left, min_step = MAX_SUBSTEPS, MIN_STEP_FRACTION * dt
     is_unresolved = np.zeros(len(x), np.bool_)
-    while time < end:
+    while time < end_time:
         next_state, errors = _substep(
             acceleration_at, time, step, points, velocities, acceleration, jacobians
         )
-        error = float(errors.max(initial=0.0)) / ERROR_TOLERANCE
-        if error > 1 and step > min_step:
+        error_ratio = float(errors.max(initial=0.0)) / ERROR_TOLERANCE
+        if error_ratio > 1 and step > min_step:
             step = max(
-                step * max(SAFETY_FACTOR / np.sqrt(error), MIN_STEP_CHANGE), min_step
+                step * max(SAFETY_FACTOR / np.sqrt(error_ratio), MIN_STEP_CHANGE),
+                min_step,
             )
             continue
         points, velocities = next_state
         if step > 2 * MIN_STEP_FRACTION * dt:
             is_unresolved |= errors > COARSE_ERROR
-        time = end if step >= end - time else time + step
-        if time < end:
+        time = end_time if step >= end_time - time else time + step
+        if time < end_time:
             substeps_left -= 1
-            min_step = (end - time) / max(substeps_left, 1) ** 2
+            min_step = (end_time - time) / max(substeps_left, 1) ** 2
             min_step = max(MIN_STEP_FRACTION * dt, min_step)
             acceleration = acceleration_at(time, *next_state)
             jacobians = jacobians_at(time, *next_state)
             next_step = step * min(
-                SAFETY_FACTOR / np.sqrt(max(error, 1e-12)), MAX_STEP_CHANGE
+                SAFETY_FACTOR / np.sqrt(max(error_ratio, 1e-12)), MAX_STEP_CHANGE
             )
-            step = min(max(next_step, min_step), end - time)
+            step = min(max(next_step, min_step), end_time - time)
     mass_factors = _mass_factors(
         start_acceleration, start_jacobians[1], velocities - v, dt, v
     )
@@ -119,8 +120,8 @@ def _substep(
     matrices[:, :3, 3:] = np.eye(3)
     matrices[:, 3:, :3], matrices[:, 3:, 3:] = by_position, by_velocity
     phi1, phi2 = phi_functions(matrices)
-    rates = np.concatenate([h * v, h * h * acceleration], axis=1)
-    linear_change = _multiply(phi1, rates)
+    initial_changes = np.concatenate([h * v, h * h * acceleration], axis=1)
+    linear_change = _multiply(phi1, initial_changes)
     dx, dv = linear_change[:, :3], linear_change[:, 3:]
     end_acceleration = acceleration_at(t + h, x + dx, v + dv / h)
     residual_acceleration = h * h * (end_acceleration - acceleration)

@@ -130,12 +130,12 @@ def check_joints(
             if model.to == model.body:
                 message = f"{name!r} joins {model.body!r} to itself"
                 refuse("SIM061", message, f"{location}.to")
-        for key, types in _OPTION_TYPES.items():
+        for key, joint_types in _OPTION_TYPES.items():
             with refusals.collect():
-                if getattr(model, key) is not None and model.type not in types:
+                if getattr(model, key) is not None and model.type not in joint_types:
                     message = f"{name!r} is a {model.type} joint: {key} is for "
-                    message += f"{' and '.join(types)}"
-                    hint = f"type: {types[0]}"
+                    message += f"{' and '.join(joint_types)}"
+                    hint = f"type: {joint_types[0]}"
                     if model.type == "ball" and key == "limits":
                         hint = "use swing: 40, or twist: [-30, 30]"
                     refuse("SIM061", message, f"{location}.{key}", hint)
@@ -166,16 +166,18 @@ def build_joints(
     """
     joints: list[BodyJoint] = []
     notices: list[Fault] = []
-    ends: list[JointEnd] = []
+    joint_ends: list[JointEnd] = []
     dynamic_indices = {int(i): k for k, i in enumerate(bodies.dynamic_indices)}
     for i, (model, entry_data) in enumerate(zip(models, joint_data, strict=True)):
         location = f"joints[{i}]"
         name = model.name or location
         second_body = bodies.body_index(model.body, f"{location}.body")
         poses: Poses = entry_data["poses"]
-        frame = poses.at(bodies.begin)
-        frame[3:] = so3.multiply(frame[3:], _axis_rotation(model, name, location))
-        frame_b = relative_to_principal(bodies, second_body, frame)
+        joint_frame = poses.at(bodies.begin)
+        joint_frame[3:] = so3.multiply(
+            joint_frame[3:], _axis_rotation(model, name, location)
+        )
+        frame_b = relative_to_principal(bodies, second_body, joint_frame)
         first_index, anchor, parent = -1, Poses(), -1
         if model.to is None:
             anchor = poses
@@ -190,10 +192,10 @@ def build_joints(
                 refuse("SIM061", message, location)
             if parent in dynamic_indices:
                 first_index = dynamic_indices[parent]
-                frame_a = relative_to_principal(bodies, parent, frame)
+                frame_a = relative_to_principal(bodies, parent, joint_frame)
             else:
                 anchor = bodies.poses[parent]
-                frame_a = relative_pose(anchor.at(bodies.begin), frame)
+                frame_a = relative_pose(anchor.at(bodies.begin), joint_frame)
         limits = _limit_parameters(model, name, location)
         drive = _drive_parameters(model, location)
         is_excluded = parent >= 0 and not model.contacts
@@ -210,9 +212,9 @@ def build_joints(
             )
         )
         for body in (second_body, parent) if parent >= 0 else (second_body,):
-            notices += _distance_warnings(bodies, body, frame, name, location)
-            ends.append(JointEnd(i, body, frame[:3]))
-    notices += quaternion_order_warnings(bodies, ends)
+            notices += _distance_warnings(bodies, body, joint_frame, name, location)
+            joint_ends.append(JointEnd(i, body, joint_frame[:3]))
+    notices += quaternion_order_warnings(bodies, joint_ends)
     return Joints(joints, notices)
 
 
@@ -230,7 +232,11 @@ def subset_joints(
     members, indices = [], []
     for k, joint in enumerate(joints.members):
         (first, second), parameters = joint.bodies, joints.parameters[k]
-        frame_a, frame_b, settings = parameters[:7], parameters[7:14], parameters[14:]
+        frame_a, frame_b, limits_and_drive = (
+            parameters[:7],
+            parameters[7:14],
+            parameters[14:],
+        )
         a = -1 if first < 0 else int(all_bodies.dynamic_indices[first])
         b, anchor = int(all_bodies.dynamic_indices[second]), joint.anchor
         if a >= 0 and a not in new_indices:
@@ -241,9 +247,9 @@ def subset_joints(
             # Swapped: the joint's second body becomes the first.
             anchor, a, b = bodies.poses[b], b, a
             frame_a, frame_b = to_body_frame(all_bodies, second, frame_b), frame_a
-            settings = swap_bodies(settings)
+            limits_and_drive = swap_bodies(limits_and_drive)
         pair = new_indices.get(a, -1), new_indices[b]
-        parameters = np.concatenate([frame_a, frame_b, settings])
+        parameters = np.concatenate([frame_a, frame_b, limits_and_drive])
         members.append(
             replace(joint, bodies=pair, parameters=parameters, anchor=anchor)
         )
@@ -323,8 +329,8 @@ def _limit_parameters(model: RigidJointModel, name: str, location: str) -> list[
     key = "twist" if model.type == "ball" else "limits"
     limits = getattr(model, key)
     if limits is not None:
-        scale = 1.0 if model.type == "prismatic" else np.pi / 180
-        low, high = (value * scale for value in limits)
+        unit_factor = 1.0 if model.type == "prismatic" else np.pi / 180
+        low, high = (value * unit_factor for value in limits)
         if low > high:
             message = f"the lower limit of {name!r}, {limits[0]:g}, is above the upper "
             message += "limit"
@@ -394,11 +400,11 @@ def _motor_speed(
 
 
 def _distance_warnings(
-    bodies: RigidBodies, body: int, frame: FloatArray, name: str, location: str
+    bodies: RigidBodies, body: int, joint_frame: FloatArray, name: str, location: str
 ) -> list[Fault]:
     """Return a warning if a joint is far from the body that it moves (SIM127)."""
     kind, pose = bodies.kind_of(body), bodies.poses[body].at(bodies.begin)
-    offset = frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
+    offset = joint_frame[:3] - pose[:3] - so3.rotate(pose[3:], kind.centre)
     distance = float(np.linalg.norm(offset))
     if distance <= MAX_DISTANCE_RADII * kind.bounding_radius:
         return []

@@ -117,8 +117,8 @@ def build_body_kind(model: BodyModel, body_data: Mapping[str, Any]) -> BodyKind:
             decomposition: list[tuple[Mesh, ConvexCore]] = []
             if is_dynamic and not uses_hull[k] and can_decompose():
                 decomposition = convex_pieces(shape)
-            fault = _concave_notice(model.name, shape, decomposition)
-            notices.append(replace(fault, where=key))
+            notice = _concave_notice(model.name, shape, decomposition)
+            notices.append(replace(notice, where=key))
             if decomposition:
                 collision_pieces, solid = decomposition, mesh_solid(shape)
         cores += [core.transformed(origin, rotation) for _, core in collision_pieces]
@@ -159,11 +159,11 @@ def _body_shapes(
     entries = zip(model.shapes, body_data.get("shapes", ()), strict=True)
     shapes = [
         (
-            part["shape"],
+            shape_data["shape"],
             np.array(shape.at, np.float64),
             _rotation(shape.rotate, model.name, f"shapes[{k}].rotate"),
         )
-        for k, (shape, part) in enumerate(entries)
+        for k, (shape, shape_data) in enumerate(entries)
     ]
     if model.shape is not None:
         if shapes:
@@ -233,14 +233,14 @@ def principal_inertia(inertia: FloatArray) -> tuple[FloatArray, FloatArray]:
         return np.diag(inertia).copy(), so3.IDENTITY.copy()
     moments, axes = np.linalg.eigh(inertia)
     # The axis nearest to x comes first, and so on: small changes stay small.
-    order = [int(np.argmax(np.abs(axes[0])))]
-    other_axes = [k for k in range(3) if k not in order]
-    order += sorted(other_axes, key=lambda k: -abs(float(axes[1, k])))
-    axes = axes[:, order] * np.sign(np.diag(axes[:, order]) + 1e-300)
+    axis_order = [int(np.argmax(np.abs(axes[0])))]
+    other_axes = [k for k in range(3) if k not in axis_order]
+    axis_order += sorted(other_axes, key=lambda k: -abs(float(axes[1, k])))
+    axes = axes[:, axis_order] * np.sign(np.diag(axes[:, axis_order]) + 1e-300)
     if np.linalg.det(axes) < 0:
         axes[:, 2] = -axes[:, 2]
     # Rounding far from the centre may make small ones negative.
-    return np.maximum(moments[order], 0.0), so3.from_matrix(axes)
+    return np.maximum(moments[axis_order], 0.0), so3.from_matrix(axes)
 
 
 def _display_mesh(
@@ -300,11 +300,11 @@ def copy_placements(
         if points is not None:
             message = f"{model.name!r} has both a grid and points"
             refuse("SIM061", message, "points", "keep one")
-        counts = np.array(model.grid.count)
-        if counts.prod() > MAX_BODIES:
+        grid_counts = np.array(model.grid.count)
+        if grid_counts.prod() > MAX_BODIES:
             message = f"{model.name!r} has more than {MAX_BODIES} copies"
             refuse("SIM061", message, "grid")
-        x, y, z = np.meshgrid(*(np.arange(n) for n in counts), indexing="ij")
+        x, y, z = np.meshgrid(*(np.arange(n) for n in grid_counts), indexing="ij")
         grid_positions = (
             np.stack([x, y, z], axis=-1).transpose(1, 2, 0, 3).reshape(-1, 3) * 1.0
         )

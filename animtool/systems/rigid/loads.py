@@ -163,7 +163,9 @@ class StepForceSolver:
         self, t: float, dt: float, body_states: FloatArray
     ) -> int:
         """Return the substep count that resolves oscillating and spinning bodies."""
-        oscillation_rates, spin_rates = self._rates(t, dt, body_states)
+        oscillation_rates, spin_rates = self._oscillation_and_spin_rates(
+            t, dt, body_states
+        )
         max_rate = float(oscillation_rates.max(initial=0.0))
         oscillation_steps = max_rate * dt / MAX_SUBSTEP_ANGLE
         if not oscillation_steps <= MAX_SUBSTEPS:
@@ -205,7 +207,9 @@ class StepForceSolver:
             self._stop(t, message, f"use step: {step}, or less drag, or more mass")
         return substeps_for_mass_factors(substep_count, mass_factors)
 
-    def _rates(self, t: float, dt: float, body_states: FloatArray) -> FloatArray:
+    def _oscillation_and_spin_rates(
+        self, t: float, dt: float, body_states: FloatArray
+    ) -> FloatArray:
         """Return rates of oscillation, and of spin under pushes ``(2, N)`` [rad/s]."""
         with np.errstate(all="ignore"):
             rates = self._forces.oscillation_rates(t, dt, body_states)
@@ -241,8 +245,8 @@ def _oscillation_rates(
         matrices[:, 3:, :3] = by_position[is_relevant]
         matrices[:, 3:, 3:] = by_velocity[is_relevant]
         is_finite = np.isfinite(matrices).all(axis=(1, 2))
-        rates = np.full(len(matrices), np.inf)
+        angular_frequencies = np.full(len(matrices), np.inf)
         eigenvalues = np.linalg.eigvals(matrices[is_finite])
-        rates[is_finite] = np.abs(eigenvalues.imag).max(axis=1)
-        frequencies[is_relevant] = rates
+        angular_frequencies[is_finite] = np.abs(eigenvalues.imag).max(axis=1)
+        frequencies[is_relevant] = angular_frequencies
     return frequencies

@@ -55,19 +55,19 @@ def locked_joints(
     """
     blocked_joints = []
     for loop in _closed_loops(kinds_and_bodies, len(centres)):
-        joints = kinds_and_bodies[loop]
-        loop_bodies = np.setdiff1d(joints[:, 1:], [-1])
-        body_indices = np.searchsorted(loop_bodies, joints[:, 1:])
-        joints[:, 1:] = np.where(joints[:, 1:] < 0, -1, body_indices)
+        loop_joints = kinds_and_bodies[loop]
+        loop_bodies = np.setdiff1d(loop_joints[:, 1:], [-1])
+        body_indices = np.searchsorted(loop_bodies, loop_joints[:, 1:])
+        loop_joints[:, 1:] = np.where(loop_joints[:, 1:] < 0, -1, body_indices)
         body_centres = centres[loop_bodies]
         points = np.concatenate([body_centres, frames[loop, :3]])
         loop_size = float(np.ptp(points, axis=0).max()) or 1.0
         jacobians = [
             _joint_jacobians(joint, frames[k], body_centres, loop_size)
-            for joint, k in zip(joints, loop, strict=True)
+            for joint, k in zip(loop_joints, loop, strict=True)
         ]
-        constraints = [constrained for constrained, _ in jacobians]
-        null_space = _null_space(constraints)
+        constraint_jacobians = [constrained for constrained, _ in jacobians]
+        null_space = _null_space(constraint_jacobians)
         for k, (_, free) in zip(loop, jacobians, strict=True):
             remaining_motion = _remaining_motion(free, null_space)
             if not len(free) or remaining_motion > LOCKED_MOTION:
@@ -76,7 +76,9 @@ def locked_joints(
             for i, other_joint in enumerate(loop):
                 if other_joint == k:
                     continue
-                null_space_without = _null_space(constraints[:i] + constraints[i + 1 :])
+                null_space_without = _null_space(
+                    constraint_jacobians[:i] + constraint_jacobians[i + 1 :]
+                )
                 if _remaining_motion(free, null_space_without) > LOCKED_MOTION:
                     blocking_joints.append(other_joint)
             blocked_joints.append(
@@ -124,8 +126,8 @@ def _closed_loops(kinds_and_bodies: IntArray, body_count: int) -> list[list[int]
     ]
     remaining_joints = set(range(len(joint_bodies)))
     while True:
-        ends = [i for k in remaining_joints for i in joint_bodies[k]]
-        joint_counts = np.bincount(ends, minlength=body_count + 1)
+        joint_ends = [i for k in remaining_joints for i in joint_bodies[k]]
+        joint_counts = np.bincount(joint_ends, minlength=body_count + 1)
         dangling_joints = {
             k
             for k in remaining_joints
@@ -134,24 +136,26 @@ def _closed_loops(kinds_and_bodies: IntArray, body_count: int) -> list[list[int]
         if not dangling_joints:
             break
         remaining_joints -= dangling_joints
-    groups: list[tuple[set[int], list[int]]] = []
+    loop_groups: list[tuple[set[int], list[int]]] = []
     for k in sorted(remaining_joints):
         # Static bodies connect no loops.
         group_bodies, joints = {i for i in joint_bodies[k] if i < body_count}, [k]
-        for group in [candidate for candidate in groups if candidate[0] & group_bodies]:
-            groups.remove(group)
+        for group in [
+            candidate for candidate in loop_groups if candidate[0] & group_bodies
+        ]:
+            loop_groups.remove(group)
             group_bodies |= group[0]
             joints = group[1] + joints
-        groups.append((group_bodies, sorted(joints)))
+        loop_groups.append((group_bodies, sorted(joints)))
     return [
         joints
-        for group_bodies, joints in groups
+        for group_bodies, joints in loop_groups
         if len(joints) > 1 and len(group_bodies) <= MAX_LOOP_BODIES
     ]
 
 
 def _joint_jacobians(
-    joint: IntArray, joint_frame: FloatArray, centres: FloatArray, size: float
+    joint: IntArray, joint_frame: FloatArray, centres: FloatArray, loop_size: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return Jacobians of the constrained and of the free directions of a joint.
 
@@ -164,7 +168,7 @@ def _joint_jacobians(
     jacobian: FloatArray = np.zeros((6, len(centres), 6))
     for body, sign in ((second_body, 1.0), (first_body, -1.0)):
         if body >= 0:
-            lever_arm = (joint_frame[:3] - centres[body]) / size
+            lever_arm = (joint_frame[:3] - centres[body]) / loop_size
             jacobian[:3, body, :3] = jacobian[3:, body, 3:] = sign * axes
             jacobian[:3, body, 3:] = sign * np.cross(lever_arm, axes)
     rows = [*_LOCKED_TRANSLATIONS[kind], *(3 + i for i in _LOCKED_ROTATIONS[kind])]
@@ -182,6 +186,6 @@ def _null_space(constraints: Sequence[FloatArray]) -> FloatArray:
     return np.asarray(right_vectors[rank:].T)
 
 
-def _remaining_motion(free: FloatArray, null_space: FloatArray) -> float:
+def _remaining_motion(free_jacobian: FloatArray, null_space: FloatArray) -> float:
     """Return the largest relative motion of a joint within the null space."""
-    return float(np.linalg.norm(free @ null_space, axis=1).max(initial=0.0))
+    return float(np.linalg.norm(free_jacobian @ null_space, axis=1).max(initial=0.0))

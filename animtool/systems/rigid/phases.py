@@ -142,21 +142,25 @@ class BodyPhases:
         first_shape_indices = np.searchsorted(
             owners, np.arange(len(all_bodies.dynamic_indices))
         )
-        dynamic = all_bodies.dynamic_indices.tolist()
+        dynamic_bodies = all_bodies.dynamic_indices.tolist()
         first_shape_of_body = dict(
-            zip(dynamic, first_shape_indices.tolist(), strict=True)
+            zip(dynamic_bodies, first_shape_indices.tolist(), strict=True)
         )
-        shapes: list[int] = []
+        shape_indices: list[int] = []
         for i in bodies.dynamic_indices.tolist():
-            start = first_shape_of_body[i]
-            shapes += range(start, start + len(all_bodies.kind_of(i).cores))
+            first_shape = first_shape_of_body[i]
+            shape_indices += range(
+                first_shape, first_shape + len(all_bodies.kind_of(i).cores)
+            )
         next_collider = len(owners) + static_count
-        shapes += range(len(owners), next_collider)
+        shape_indices += range(len(owners), next_collider)
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             # Bodies that are never dynamic only have colliders.
-            start = first_shape_of_body.get(i, next_collider)
+            first_shape = first_shape_of_body.get(i, next_collider)
             count = len(all_bodies.kind_of(i).shapes)
-            shapes += range(start, start + count)
+            shape_indices += range(first_shape, first_shape + count)
             next_collider += 0 if i in first_shape_of_body else count
-        shapes += range(next_collider, next_collider + len(self._stage_colliders))
-        return np.array(shapes, np.int64)
+        shape_indices += range(
+            next_collider, next_collider + len(self._stage_colliders)
+        )
+        return np.array(shape_indices, np.int64)

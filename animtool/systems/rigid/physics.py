@@ -102,26 +102,28 @@ def _physics_shape(
     shape: Shape, pose: FloatArray, friction: float, restitution: float
 ) -> PhysicsShape:
     """Return a shape as a record: centred at its pose, with y as its axis."""
-    kind, centre, axis = "mesh", np.zeros(3), Y_AXIS
+    shape_kind, centre, axis = "mesh", np.zeros(3), Y_AXIS
     size: tuple[float, ...] = ()
     points, triangles = np.zeros((0, 3)), np.zeros((0, 3), np.int64)
     match shape:
         case Sphere():
-            kind, size, centre = "sphere", (shape.radius,), np.array(shape.centre)
+            shape_kind, size, centre = "sphere", (shape.radius,), np.array(shape.centre)
         case Capsule():
-            kind, size = "capsule", (shape.radius, shape.length)
+            shape_kind, size = "capsule", (shape.radius, shape.length)
             centre, axis = np.array(shape.centre), np.array(shape.axis)
         case Box():
-            kind, size = "box", tuple(map(float, shape.size))
+            shape_kind, size = "box", tuple(map(float, shape.size))
         case Plane():
-            kind, axis = "plane", np.array(shape.normal)
+            shape_kind, axis = "plane", np.array(shape.normal)
             centre = shape.anchors()[0]
         case Mesh():
             points, corners = shape.weld()
             triangles = corners.astype(np.int64)
     rotation = so3.shortest_rotation(Y_AXIS, axis / np.linalg.norm(axis))
-    frame = to_parent_frame(pose, np.concatenate([centre, rotation]))
-    return PhysicsShape(kind, size, frame, points, triangles, friction, restitution)
+    shape_pose = to_parent_frame(pose, np.concatenate([centre, rotation]))
+    return PhysicsShape(
+        shape_kind, size, shape_pose, points, triangles, friction, restitution
+    )
 
 
 def _physics_joints(bodies: RigidBodies, joints: Joints) -> Iterator[PhysicsJoint]:
@@ -173,7 +175,7 @@ def body_entries(
     models, body_data = [], []
     for body in physics.bodies:
         first_shape = body.shapes[0]
-        keys: dict[str, Any] = {
+        body_keys: dict[str, Any] = {
             "name": body.name,
             "density": body.density,
             "friction": first_shape.friction,
@@ -189,17 +191,17 @@ def body_entries(
             ],
         }
         if body.mass is not None:
-            del keys["density"]
-            keys["mass"] = body.mass
+            del body_keys["density"]
+            body_keys["mass"] = body.mass
         if body.centre is not None:
-            keys["centre"] = body.centre.tolist()
+            body_keys["centre"] = body.centre.tolist()
         if body.inertia is not None:
-            keys["inertia"] = body.inertia.tolist()
-            keys["inertia_axes"] = body.axes[[3, 0, 1, 2]].tolist()
+            body_keys["inertia"] = body.inertia.tolist()
+            body_keys["inertia_axes"] = body.axes[[3, 0, 1, 2]].tolist()
         if not body.kinematic:
-            keys["velocity"] = body.velocity.tolist()
-            keys["spin"] = np.degrees(body.spin).tolist()
-        models.append(_body_model(keys, body.origin, entry_key))
+            body_keys["velocity"] = body.velocity.tolist()
+            body_keys["spin"] = np.degrees(body.spin).tolist()
+        models.append(_body_model(body_keys, body.origin, entry_key))
         poses_over_time = body.kinematic_poses
         times = body.times
         if poses_over_time is None:

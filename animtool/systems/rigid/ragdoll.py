@@ -147,9 +147,9 @@ def _body_kinds(
         kinds = _replace_masses(rig, world, joints, kinds)
     if options.mass is None:
         return kinds
-    factor = options.mass / sum(kind.mass for kind in kinds)
+    mass_factor = options.mass / sum(kind.mass for kind in kinds)
     return [
-        replace(kind, mass=kind.mass * factor, moments=kind.moments * factor)
+        replace(kind, mass=kind.mass * mass_factor, moments=kind.moments * mass_factor)
         for kind in kinds
     ]
 
@@ -227,12 +227,14 @@ def build_ragdoll_joints(
     for i in bodies_with_parent.tolist():
         joint = rig.joints[ragdoll.joints[i]]
         pose = bodies.poses[i].at(0.0)
-        frame = np.concatenate([pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])])
+        joint_frame = np.concatenate(
+            [pose[:3], so3.multiply(pose[3:], ragdoll.axes[i])]
+        )
         parent = int(ragdoll.parent_bodies[i])
         stiffness, damping = springs[i] + [options.stiffness, options.damping]
         target = [0.0, *so3.IDENTITY] if start_targets is None else start_targets[i]
         frame_a = relative_to_principal(bodies, parent, ragdoll.frames[i])
-        frame_b = relative_to_principal(bodies, i, frame)
+        frame_b = relative_to_principal(bodies, i, joint_frame)
         drive = [*target, stiffness, damping, -1.0, 0.0]
         parameters = [*frame_a, *frame_b, *_limit_parameters(joint), *drive]
         kind, pair = _JOINT_TYPES[joint.type], (parent, i)
@@ -284,12 +286,12 @@ def _overlapping_pairs(ragdoll: Ragdoll) -> IntArray:
     # Points on the axis of each core, and its radius.
     samples_by_body = []
     for kind, poses in zip(ragdoll.bodies.kinds, ragdoll.bodies.poses, strict=True):
-        pose, samples = poses.at(0.0), []
+        pose, axis_samples = poses.at(0.0), []
         for core in kind.cores:
             points = core.transformed(pose[:3], pose[3:]).points
             axis_points = points[0] + fractions * (points[-1] - points[0])
-            samples.append((axis_points, core.radius))
-        samples_by_body.append(samples)
+            axis_samples.append((axis_points, core.radius))
+        samples_by_body.append(axis_samples)
     pairs = []
     for i, j in combinations(range(len(samples_by_body)), 2):
         gaps = [

@@ -58,8 +58,11 @@ class DriveTargets:
         duration = self.times[k + 1] - self.times[k]
         fraction = float(np.clip((t - self.times[k]) / duration, 0, 1))
         for i, j in enumerate(self.ragdoll.joints.tolist()):
-            joint, coordinate = self.ragdoll.rig.joints[j], self.coordinate_slices[j]
-            start_values, end_values = self.coordinates[k : k + 2, coordinate]
+            joint, coordinate_slice = (
+                self.ragdoll.rig.joints[j],
+                self.coordinate_slices[j],
+            )
+            start_values, end_values = self.coordinates[k : k + 2, coordinate_slice]
             if joint.type in (JointType.PIN, JointType.PRISMATIC):
                 targets[i, 0] = (start_values + fraction * (end_values - start_values))[
                     0
@@ -77,10 +80,10 @@ def ragdoll_velocities(
 ) -> FloatArray:
     """Return linear velocities and angular momenta of bodies at a frame ``(N, 6)``."""
     k = max(frame_index - 1, 0)
-    frames = slice(k, k + 2)
+    frame_pair = slice(k, k + 2)
     duration = float(times[k + 1] - times[k])
-    positions = world.positions[frames, ragdoll.joints]
-    rotations = so3.split_scale(world.linear[frames, ragdoll.joints])[0]
+    positions = world.positions[frame_pair, ragdoll.joints]
+    rotations = so3.split_scale(world.linear[frame_pair, ragdoll.joints])[0]
     spins = so3.log(so3.multiply(rotations[1], so3.conjugate(rotations[0]))) / duration
     rigid_bodies = ragdoll.bodies
     centre_offsets = so3.rotate(rotations[1], rigid_bodies.centres)
@@ -127,10 +130,10 @@ def ragdoll_transforms(
         if j in body_of_joint:
             i = body_of_joint[j]
             body = int(ragdoll.joints[i])
-            frame = _frame_on_body(
+            frame_on_body = _frame_on_body(
                 rig, body, j, local_translations[0], local_rotations[0]
             )
-            joint_rotations = so3.multiply(body_rotations[:, i], frame[3:])
+            joint_rotations = so3.multiply(body_rotations[:, i], frame_on_body[3:])
             if parent < 0:
                 world_to_parent = so3.IDENTITY
             else:
@@ -139,7 +142,7 @@ def ragdoll_transforms(
             new_translations[:, j] = local_translations[0, j]
             if j in root_joints or joint.type is JointType.PRISMATIC:
                 origin = body_origins[:, i] + so3.rotate(
-                    body_rotations[:, i], frame[:3]
+                    body_rotations[:, i], frame_on_body[:3]
                 )
                 offset = origin - (0 if parent < 0 else positions[:, parent])
                 new_translations[:, j] = so3.rotate(world_to_parent, offset)
@@ -171,5 +174,5 @@ def _frame_on_body(
             break
         position = local_translations[k] + so3.rotate(local_rotations[k], position)
         rotation = so3.multiply(local_rotations[k], rotation)
-    inverse = so3.conjugate(rotation)
-    return np.concatenate([-so3.rotate(inverse, position), inverse])
+    inverse_rotation = so3.conjugate(rotation)
+    return np.concatenate([-so3.rotate(inverse_rotation, position), inverse_rotation])

@@ -133,9 +133,9 @@ class RigidStates:
             angular_impulses = angular_change + so3.cross(before[:, :3], impulses)
             return np.concatenate([impulses, angular_impulses], axis=1)
 
-        change = after - before
-        impulses = impulse(change[:, 7:10], change[:, 10:13])
-        return Wrenches(impulses, impulse(change[:, :3], twist))
+        state_change = after - before
+        impulses = impulse(state_change[:, 7:10], state_change[:, 10:13])
+        return Wrenches(impulses, impulse(state_change[:, :3], twist))
 
     def inverse_masses(
         self,
@@ -151,9 +151,9 @@ class RigidStates:
         """
         motion, moments = state.motion[owners], self.bodies.moments[owners]
         lever_arms = np.cross(points - motion[:, :3], directions)
-        squares = so3.rotate(so3.conjugate(motion[:, 3:7]), lever_arms) ** 2
-        rotational = np.zeros_like(squares)
-        np.divide(squares, moments, out=rotational, where=moments > 0)
+        squared_components = so3.rotate(so3.conjugate(motion[:, 3:7]), lever_arms) ** 2
+        rotational = np.zeros_like(squared_components)
+        np.divide(squared_components, moments, out=rotational, where=moments > 0)
         return np.asarray(1 / self.bodies.masses[owners] + rotational.sum(axis=1))
 
     def inertias(self, state: RigidState) -> tuple[FloatArray, FloatArray]:

@@ -133,8 +133,10 @@ class RigidSimulation(RigidStates):
     def incompatibility(self, state: RigidState, t: float) -> str:
         """Return why a saved state cannot be resumed; empty if it can."""
         del t
-        sizes = np.linalg.norm(np.clip(state.motion[:, 3:7], -2, 2), axis=1)
-        if not (sizes > 0.5).all():
+        quaternion_lengths = np.linalg.norm(
+            np.clip(state.motion[:, 3:7], -2, 2), axis=1
+        )
+        if not (quaternion_lengths > 0.5).all():
             return "the orientation of a body is not a rotation"
         joint = state.fastest_drive_joint
         if joint >= len(self.joints):
@@ -207,10 +209,10 @@ class RigidSimulation(RigidStates):
         owners = np.append(self.bodies.cores_and_bodies[1], -1)
         pressing_pairs = state.pairs[state.contacts[:, 3:].any(axis=1)]
         pressing_shapes = phase.full_shape_indices(pressing_pairs)
-        bodies = owners[np.minimum(pressing_shapes, len(owners) - 1)].ravel()
+        body_indices = owners[np.minimum(pressing_shapes, len(owners) - 1)].ravel()
         joint_bodies = self.joints.kinds_and_bodies[:, 1:]
-        bodies = np.concatenate([bodies, joint_bodies.ravel()])
-        is_constrained[bodies[bodies >= 0]] = True
+        body_indices = np.concatenate([body_indices, joint_bodies.ravel()])
+        is_constrained[body_indices[body_indices >= 0]] = True
         return is_constrained
 
     def _solve(
@@ -347,12 +349,12 @@ class RigidSimulation(RigidStates):
         count = len(bodies.names)
         points, velocities, spins = np.zeros((3, count, 3))
         rotations = np.tile(so3.IDENTITY, (count, 1))
-        dynamic = bodies.dynamic_indices
-        points[dynamic], rotations[dynamic] = bodies.body_frames(motion)
-        spins[dynamic] = bodies.spins(motion)
-        centre_offsets = points[dynamic] - motion[:, :3]
-        velocities[dynamic] = motion[:, 7:10] + so3.cross(
-            spins[dynamic], centre_offsets
+        dynamic_indices = bodies.dynamic_indices
+        points[dynamic_indices], rotations[dynamic_indices] = bodies.body_frames(motion)
+        spins[dynamic_indices] = bodies.spins(motion)
+        centre_offsets = points[dynamic_indices] - motion[:, :3]
+        velocities[dynamic_indices] = motion[:, 7:10] + so3.cross(
+            spins[dynamic_indices], centre_offsets
         )
         for i in np.flatnonzero(~bodies.is_dynamic).tolist():
             pose, step = bodies.poses[i].at(t), self._spec.step
@@ -378,7 +380,7 @@ class RigidSimulation(RigidStates):
         )
 
     def is_free(self, t: float) -> BoolArray:
-        """Return a mask of bodies that are dynamic from a time [s] on ``(count,)``."""
+        """Return a mask of bodies dynamic at and after a time [s] ``(count,)``."""
         return self._phases.is_free(t, self._spec.step)
 
     @cached_property
@@ -414,22 +416,24 @@ class RigidSimulation(RigidStates):
             notices += kind.notices
         notices += break_notices(state, self.joints)
         min_radius = float(self.bodies.bounding_radii.min(initial=np.inf))
-        names = self.bodies.names
-        reported_pairs = [{names[i], names[j]} for i, j in self._coincident_pairs]
+        body_names = self.bodies.names
+        reported_pairs = [
+            {body_names[i], body_names[j]} for i, j in self._coincident_pairs
+        ]
         notices += depth_notices(state, min_radius, self._shape_names, reported_pairs)
         return Diagnostics(self.energy(state), values, notices)
 
     def _shape_names(self) -> list[str]:
         """Return the body name of each shape, followed by the collider names."""
         bodies, colliders = self.bodies, self._colliders
-        names = [
+        shape_names = [
             bodies.names[bodies.dynamic_indices[i]] for i in bodies.cores_and_bodies[1]
         ]
-        names += [
+        shape_names += [
             collider.name or f"colliders[{i}]" for i, collider in enumerate(colliders)
         ]
-        names += [sheet.name for sheet in colliders.sheets]
-        return names + [
+        shape_names += [sheet.name for sheet in colliders.sheets]
+        return shape_names + [
             collider.name
             for system in colliders.bodies
             for collider in system.colliders

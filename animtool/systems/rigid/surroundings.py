@@ -96,8 +96,8 @@ class BodyForces:
         for body, push in self._pushes:
             if not self._active_fraction(push, (t, t + dt)):
                 continue
-            arm = np.array(push.at) - self._bodies.centres[body]
-            torque = float(np.linalg.norm(arm) * np.linalg.norm(push.force))
+            lever_arm = np.array(push.at) - self._bodies.centres[body]
+            torque = float(np.linalg.norm(lever_arm) * np.linalg.norm(push.force))
             nonzero_inertia = moments[body][moments[body] > 0]
             if torque and not push.local and len(nonzero_inertia):
                 rates[0, body] += torque / nonzero_inertia.min()
@@ -143,12 +143,15 @@ class BodyForces:
         if not fraction:
             return np.zeros(6)
         bodies, axes = self._bodies, body_states[body, 3:7]
-        frame = so3.multiply(axes, so3.conjugate(bodies.axes[body]))
+        body_rotation = so3.multiply(axes, so3.conjugate(bodies.axes[body]))
         force, torque = np.array(push.force), np.array(push.torque)
         if push.local:
-            force, torque = so3.rotate(frame, force), so3.rotate(frame, torque)
-        arm = so3.rotate(frame, np.array(push.at) - bodies.centres[body])
-        return np.concatenate([force, torque + np.cross(arm, force)]) * fraction
+            force, torque = (
+                so3.rotate(body_rotation, force),
+                so3.rotate(body_rotation, torque),
+            )
+        lever_arm = so3.rotate(body_rotation, np.array(push.at) - bodies.centres[body])
+        return np.concatenate([force, torque + np.cross(lever_arm, force)]) * fraction
 
     @cached_property
     def _particles(self) -> ParticleState:
@@ -184,19 +187,21 @@ class StepColliders:
         sheets = self.colliders.sheets
         if not sheets:
             return self.colliders.kernel_arrays(t, end)
-        positions = [point for sheet in sheets for point in _end_points(sheet, t, end)]
+        point_arrays = [
+            point for sheet in sheets for point in _end_points(sheet, t, end)
+        ]
         cached_colliders = self._cached_colliders
         if cached_colliders is None or any(
             old_points is not new_points
             for old_points, new_points in zip(
-                cached_colliders[0], positions, strict=True
+                cached_colliders[0], point_arrays, strict=True
             )
         ):
             sheet_colliders = [_rigid_collider(sheet, t, end) for sheet in sheets]
             step_colliders = Colliders(
                 [*self.colliders, *sheet_colliders], (), self.colliders.bodies
             )
-            cached_colliders = self._cached_colliders = positions, step_colliders
+            cached_colliders = self._cached_colliders = point_arrays, step_colliders
         return cached_colliders[1].kernel_arrays(t, end)
 
 

@@ -21,7 +21,7 @@ MIN_FITTING_ENDS = 2
 
 
 class JointEnd(NamedTuple):
-    """A body of a joint, and where the joint is."""
+    """A body of a joint, and the position of the joint."""
 
     joint: int  # index of the joint
     body: int  # index among all bodies
@@ -76,6 +76,6 @@ def _distances(
         distances = []
         for each in (rotation, stated_rotation):
             offset = so3.rotate(so3.conjugate(each), end.position - pose[:3])
-            outside = np.maximum(np.maximum(lower - offset, offset - upper), 0.0)
-            distances.append(float(np.linalg.norm(outside)))
+            outside_offset = np.maximum(np.maximum(lower - offset, offset - upper), 0.0)
+            distances.append(float(np.linalg.norm(outside_offset)))
         yield end, distances[0], distances[1]

@@ -1,4 +1,4 @@
-"""The pass `ragdoll`: lets a rig fall from a given frame on."""
+"""The pass `ragdoll`: lets a rig fall, starting at a given frame."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ MIN_DEPTH = 0.02
 
 
 def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> Take:
-    """Return a take whose rig falls as a ragdoll from a given frame on.
+    """Return a take whose rig falls as a ragdoll, starting at a given frame.
 
     Args:
         take: A take with a rig that has colliders.
@@ -78,8 +78,8 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
     world = forward_kinematics(rig, translations, rotations, scales)
-    frame = slice(first_index, first_index + 1)
-    pose = WorldTransforms(world.positions[frame], world.linear[frame])
+    frame_slice = slice(first_index, first_index + 1)
+    pose = WorldTransforms(world.positions[frame_slice], world.linear[frame_slice])
     ragdoll = build_ragdoll(rig, pose, options)
     coordinates = project_to_coordinates(rig, LocalTransforms(translations, rotations))
     drive_times, slices = times - times[first_index], coordinate_slices(rig)
@@ -106,18 +106,18 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
         rotations[first_index:],
     )
     weights = _blend_weights(frames, first_index, last_index, options)[first_index:]
-    blended_values = [translations.copy(), rotations.copy()]
+    blended_channels = [translations.copy(), rotations.copy()]
     changes = fall_transforms[0] - translations[first_index:]
-    blended_values[0][first_index:] += weights[:, None, None] * changes
-    blended_values[1][first_index:] = so3.slerp(
+    blended_channels[0][first_index:] += weights[:, None, None] * changes
+    blended_channels[1][first_index:] = so3.slerp(
         rotations[first_index:],
         so3.align_signs(fall_transforms[1], rotations[first_index]),
         np.broadcast_to(weights[:, None], fall_transforms[1].shape[:2]),
     )
     motion = replace(
         take.motion,
-        translations=Channel.from_dense(blended_values[0]),
-        rotations=Channel.from_dense(so3.align_signs(blended_values[1])),
+        translations=Channel.from_dense(blended_channels[0]),
+        rotations=Channel.from_dense(so3.align_signs(blended_channels[1])),
     )
     context.notices.extend(_start_notices(ragdoll, colliders, options.mass))
     if options.end is None and not len(colliders):
@@ -233,12 +233,16 @@ def _start_notices(
     (inside_indices,) = np.nonzero((depths > MIN_DEPTH).any(axis=1))
     if not len(inside_indices):
         return notices
-    c = int(depths.max(axis=0).argmax())
-    count = f"{len(inside_indices)} of {counted(len(ragdoll.joints), 'body', 'bodies')}"
-    message = f"{count} start wholly inside {colliders.label(c)}, up to "
+    collider_index = int(depths.max(axis=0).argmax())
+    count_text = (
+        f"{len(inside_indices)} of {counted(len(ragdoll.joints), 'body', 'bodies')}"
+    )
+    message = (
+        f"{count_text} start wholly inside {colliders.label(collider_index)}, up to "
+    )
     message += f"{length_text(float(depths.max()))} deep, and are pushed out"
     hint = "move it away from the rig; the ground is usually at 0"
-    return [*notices, warning("SIM126", message, hint, f"colliders[{c}]")]
+    return [*notices, warning("SIM126", message, hint, f"colliders[{collider_index}]")]
 
 
 def _free_fall_notices(
@@ -283,8 +287,8 @@ def _run_notices(
     worst_excess, worst_joint, worst_text = 0.0, "", ""
     coordinates = project_to_coordinates(rig, LocalTransforms(*fall_transforms))
     joints_with_parent = ragdoll.joints[ragdoll.parent_bodies >= 0].tolist()
-    for j, coordinate in enumerate(coordinate_slices(rig)):
-        limits, values = rig.joints[j].limits, coordinates[:, coordinate]
+    for j, coordinate_slice in enumerate(coordinate_slices(rig)):
+        limits, values = rig.joints[j].limits, coordinates[:, coordinate_slice]
         if j not in joints_with_parent or limits is None:
             continue
         if isinstance(limits, RangeLimit):

@@ -35,26 +35,29 @@ def add_finger_capsules(
     A hand is a joint that has capsules, has no descendants with capsules, and from
     which fingers branch off. ``world`` has the joints in one pose ``(1, J, …)``.
     """
-    children: dict[int, list[int]] = {}
+    children_by_joint: dict[int, list[int]] = {}
     for j, joint in enumerate(rig.joints):
-        children.setdefault(joint.parent, []).append(j)
+        children_by_joint.setdefault(joint.parent, []).append(j)
     joints_with_capsules = set(capsules.joints.tolist())
     ancestors = {k for j in joints_with_capsules for k in rig.upwards(j)[1:]}
     joints, ends, radii = [], [], []
     for hand in sorted(joints_with_capsules - ancestors):
-        chains = [_joint_chain(children, child) for child in children.get(hand, ())]
+        chains = [
+            _joint_chain(children_by_joint, child)
+            for child in children_by_joint.get(hand, ())
+        ]
         chains = [chain for chain in chains if len(chain) > 1]
         if len(chains) < MIN_HAND_CHAINS:
             chains = [c for c in chains if _FINGER_NAMES.search(rig.joints[c[0]].name)]
         for chain in chains:
             points = world.positions[0, chain]
-            bones = np.diff(points, axis=0)
-            lengths = np.linalg.norm(bones, axis=1)
-            if not lengths.all():
+            bone_vectors = np.diff(points, axis=0)
+            bone_lengths = np.linalg.norm(bone_vectors, axis=1)
+            if not bone_lengths.all():
                 continue
             last_name = rig.joints[chain[-1]].name.lower()
             if not last_name.endswith(("end", "tip", "nub")):
-                end_point = points[-1] + LAST_BONE_RATIO * bones[-1]
+                end_point = points[-1] + LAST_BONE_RATIO * bone_vectors[-1]
                 points = np.vstack([points, end_point])
             inverse_linear = np.linalg.inv(world.linear[0, hand])
             local_points = (points - world.positions[0, hand]) @ inverse_linear.T
@@ -62,11 +65,11 @@ def add_finger_capsules(
             for a, b in pairwise(local_points):
                 joints.append(hand)
                 ends.append(np.stack([a, b]))
-                radii.append(FINGER_RADIUS_RATIO * lengths.mean() * scale)
+                radii.append(FINGER_RADIUS_RATIO * bone_lengths.mean() * scale)
     if not joints:
         return capsules
-    fingers = JointCapsules(np.array(joints), np.array(ends), np.array(radii))
-    return JointCapsules.concatenate([capsules, fingers])
+    finger_capsules = JointCapsules(np.array(joints), np.array(ends), np.array(radii))
+    return JointCapsules.concatenate([capsules, finger_capsules])
 
 
 def _joint_chain(children: dict[int, list[int]], joint: int) -> list[int]:

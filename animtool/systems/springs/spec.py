@@ -48,7 +48,7 @@ _SIMULATION_KEYS = (
 _SHARED_KEYS = (*_SOLVER_KEYS, *_SIMULATION_KEYS, "save_at", "resume")
 
 
-@with_fields(SelfContact, "thickness", "friction", "speed", ranges="schema")
+@with_fields(SelfContact, "thickness", "friction", "speed", range_check="schema")
 class SelfContactModel(FileModel):
     """Self-contact of a surface, in folds and layers."""
 

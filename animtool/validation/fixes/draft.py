@@ -31,10 +31,10 @@ class FileDraft(Protocol):
     def next_batch(self, findings: Sequence[Fault]) -> Sequence[Fault]:
         """Return the findings to fix in the next step."""
 
-    def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
+    def fix_batch(self, faults: Sequence[Fault]) -> FixStepResult:
         """Return a draft in which the findings of `next_batch` are fixed."""
 
-    def fix_deferred(self, findings: Sequence[Fault], /) -> FixStep:
+    def fix_deferred(self, findings: Sequence[Fault], /) -> FixStepResult:
         """Return a draft in which the deferred findings are fixed."""
 
     def fixable_findings(self, faults: Sequence[Fault]) -> Iterator[Fault]:
@@ -55,8 +55,8 @@ class FileDraft(Protocol):
 
 
 @dataclass(frozen=True, slots=True)
-class FixStep:
-    """Result of one repair step."""
+class FixStepResult:
+    """Result of one step of fixes."""
 
     draft: FileDraft  # the content after the step
     fixed_findings: Sequence[tuple[Fault, str]] = ()  # fixed findings, and how

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.usd.fixes.table import EDITS_BY_CODE
-from animtool.validation.fixes.draft import FixStep
+from animtool.validation.fixes.draft import FixStepResult
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_file
 from animtool.validation.subjects.subject import CheckedFile
@@ -50,25 +50,29 @@ class LayerDraft:
         matches = (fault for fault in findings if fault.code == first_code)
         return sorted(matches, key=lambda fault: -(fault.where or "").count("/"))
 
-    def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
+    def fix_batch(self, faults: Sequence[Fault]) -> FixStepResult:
         """Return the layer with findings fixed; list those whose fix is refused."""
         from animtool.usd.fixes.target import edited_layer
 
-        fixes: list[tuple[Fault, str]] = []
+        fixed_findings: list[tuple[Fault, str]] = []
         refused_findings: list[tuple[Fault, str]] = []
         with edited_layer(self.path, self.content) as layer:
             for fault in faults:
                 reason, remedy = _apply_fix(layer, fault)
-                results = refused_findings if reason else fixes
+                results = refused_findings if reason else fixed_findings
                 results.append((fault, reason or remedy))
             content = layer.content()
-        edit_lines = [f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixes]
+        edit_lines = [
+            f"{self.path}: {fault.code} {remedy}" for fault, remedy in fixed_findings
+        ]
         edited_draft = LayerDraft(self.path, content, (*self.edits, *edit_lines))
-        return FixStep(edited_draft if fixes else self, fixes, refused_findings)
+        return FixStepResult(
+            edited_draft if fixed_findings else self, fixed_findings, refused_findings
+        )
 
-    def fix_deferred(self, _: Sequence[Fault], /) -> FixStep:
+    def fix_deferred(self, _: Sequence[Fault], /) -> FixStepResult:
         """Return the layer unchanged: no fix is deferred."""
-        return FixStep(self)
+        return FixStepResult(self)
 
     def fixable_findings(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings in this layer that have a safe fix."""
@@ -98,7 +102,7 @@ class LayerDraft:
 
 
 def _apply_fix(layer: FixTarget, fault: Fault) -> tuple[str, str]:
-    """Fix a finding in a layer; return the reason if it is refused, and the change.
+    """Fix a finding in a layer; return why it was refused, and what was changed.
 
     One of the two is empty.
     """

@@ -53,15 +53,15 @@ def files_using_names(rig: Path, names: Sequence[str]) -> Iterator[tuple[Path, s
 
 
 def _used_name(path: Path, text: str, rig: Path, names: Sequence[str]) -> str | None:
-    """Return the first name of a rig that a file uses."""
+    """Return the first of a rig's names that a file uses; None if it uses none."""
     try:
-        value = parse_document(text, path).value
+        content = parse_document(text, path).value
     except AnimtoolError:
         # A file that cannot be parsed may use any name in it.
         return next(name for name in names if name in text)
-    if not _may_refer_to(path, value, rig):
+    if not _may_refer_to(path, content, rig):
         return None
-    texts = list(_keys_and_texts(value))
+    texts = list(_keys_and_texts(content))
     return next((name for name in names if _is_used(name, texts)), None)
 
 
@@ -90,13 +90,13 @@ def _other_documents(rig: Path) -> Iterator[Path]:
             yield file.path
 
 
-def _may_refer_to(path: Path, value: Mapping[str, Any], rig: Path) -> bool:
+def _may_refer_to(path: Path, content: Mapping[str, Any], rig: Path) -> bool:
     """Return whether the names in a file may refer to a given rig."""
-    rig_name = value.get("rig")
+    rig_name = content.get("rig")
     if not isinstance(rig_name, str):
         return True
     if rig_name.startswith("animtool/"):
-        return "from" in value
+        return "from" in content
     return _is_same_rig((path.parent / rig_name).resolve(), rig)
 
 
@@ -141,8 +141,8 @@ _LIST_NAMES = {
 def make_names_legal(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     """Return edits that rename the illegal USD names of a list and all references."""
     rig = _complete_rig(checked_file)
-    group = str(pointer_of(fault)[0])
-    return _rename_entries(rig, group, _illegal_names(group_names(rig, group)))
+    list_key = str(pointer_of(fault)[0])
+    return _rename_entries(rig, list_key, _illegal_names(group_names(rig, list_key)))
 
 
 def _illegal_names(names: Sequence[str]) -> list[str]:
@@ -155,15 +155,17 @@ def make_name_unique(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     Renames the one that USD does not allow, or else the second.
     """
     rig = _complete_rig(checked_file)
-    group, entry_index = pointer_of(fault)[:2]
-    named_entry = rig.file_entries(str(group))[entry_index]
-    names = group_names(rig, group)
+    list_key, entry_index = pointer_of(fault)[:2]
+    named_entry = rig.file_entries(str(list_key))[entry_index]
+    names = group_names(rig, list_key)
     for name in (named_entry["name"], named_entry.get("mirror")):
         usd_name = legal_usd_name(name) if name else None
-        equal_names = [other for other in names if legal_usd_name(other) == usd_name]
+        equal_names = [
+            other_name for other_name in names if legal_usd_name(other_name) == usd_name
+        ]
         if len(equal_names) > 1:
             illegal_names = _illegal_names(equal_names)
-            return _rename_entries(rig, str(group), illegal_names[-1:])
+            return _rename_entries(rig, str(list_key), illegal_names[-1:])
     raise NotFixedError(f"renames {named_entry['name']!r} to make it unique")
 
 
@@ -174,21 +176,25 @@ def _complete_rig(checked_file: CheckedFile) -> RigSubject:
     return rig
 
 
-def _rename_entries(rig: RigSubject, group: str, old_names: list[str]) -> FixEdits:
+def _rename_entries(rig: RigSubject, list_key: str, old_names: list[str]) -> FixEdits:
     for path, name in files_using_names(rig.document.path, old_names):
         raise NotFixedError(f"{path.name} also uses {name!r}")
-    new_names = _unused_names(old_names, group_names(rig, group))
+    new_names = _unused_names(old_names, group_names(rig, list_key))
     renamings = [f"{name!r} to {new_names[name]!r}" for name in old_names]
     count_text = counted(len(old_names), "name")
-    remedy = f"renames {count_text} of {group}: {listed(renamings, 3)}"
-    return FixEdits(remedy, tuple(rename_edits(rig.document.value, group, new_names)))
+    remedy = f"renames {count_text} of {list_key}: {listed(renamings, 3)}"
+    return FixEdits(
+        remedy, tuple(rename_edits(rig.document.value, list_key, new_names))
+    )
 
 
-def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
+def _unused_names(old_names: list[str], existing_names: list[str]) -> dict[str, str]:
     """Return a unique, legal USD name for each old name."""
     new_names: dict[str, str] = {}
-    legal_names = (legal_usd_name(name) for name in names if name not in old_names)
-    other_names = {*names, *legal_names}
+    legal_names = (
+        legal_usd_name(name) for name in existing_names if name not in old_names
+    )
+    other_names = {*existing_names, *legal_names}
     for name in old_names:
         used_names = {*other_names, *new_names.values()}
         new_names[name] = unused_name(legal_usd_name(name), used_names)
@@ -196,11 +202,11 @@ def _unused_names(old_names: list[str], names: list[str]) -> dict[str, str]:
 
 
 def rename_edits(
-    value: Mapping[str, Any], group: str, new_names: Mapping[str, str]
+    content: Mapping[str, Any], list_key: str, new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename list entries and all references to them in a rig."""
-    for path_pattern in NAME_PATHS[group]:
-        for value_path, name in _names_at(value, tuple(path_pattern.split("/")), ()):
+    for path_pattern in NAME_PATHS[list_key]:
+        for value_path, name in _names_at(content, tuple(path_pattern.split("/")), ()):
             if path_pattern.endswith("{}"):
                 if name in new_names:
                     yield Rename(value_path, new_names[name])
@@ -213,12 +219,12 @@ def rename_edits(
             if joint in new_names:
                 suffix = f".{coordinate}" if coordinate else ""
                 yield Replace(value_path, f"{new_names[joint]}{suffix}")
-    if group == "joints":
-        yield from _expression_edits(value, new_names)
-    for value_path, ignore_location in _names_at(value, ("ignore", "*", "where"), ()):
+    if list_key == "joints":
+        yield from _expression_edits(content, new_names)
+    for value_path, ignore_location in _names_at(content, ("ignore", "*", "where"), ()):
         location = ignore_location
         for old_name, new_name in new_names.items():
-            list_pattern = "|".join(_LIST_NAMES[group])
+            list_pattern = "|".join(_LIST_NAMES[list_key])
             location = re.sub(
                 rf"\b({list_pattern})\[{re.escape(old_name)}\]",
                 rf"\1[{new_name}]",
@@ -229,11 +235,11 @@ def rename_edits(
 
 
 def _expression_edits(
-    value: Mapping[str, Any], new_names: Mapping[str, str]
+    content: Mapping[str, Any], new_names: Mapping[str, str]
 ) -> Iterator[Edit]:
     """Yield the edits that rename joints in driver expressions."""
     for path_pattern in EXPRESSION_PATHS:
-        for location, text in _names_at(value, tuple(path_pattern.split("/")), ()):
+        for location, text in _names_at(content, tuple(path_pattern.split("/")), ()):
             expression = parse_expression(text, allows_coordinates=True)
             new_inputs = renamed_coordinates(expression.names, new_names)
             new_expression = expression.with_renamed_inputs(new_inputs)

@@ -12,7 +12,7 @@ from animtool.core.errors import Fault
 from animtool.core.names import DOCUMENT_FILE_SUFFIXES
 from animtool.core.readers import READERS, USD
 from animtool.core.record import dataclass
-from animtool.validation.fixes.draft import FileDraft, FixStep, has_fix
+from animtool.validation.fixes.draft import FileDraft, FixStepResult, has_fix
 from animtool.validation.options import ValidateOptions, settings_of
 from animtool.validation.run import Report
 
@@ -127,7 +127,7 @@ def _fault_key(fault: Fault) -> _FaultKey:
     return fault.code, fault.where, fault.message
 
 
-def _reason_to_reject(old_draft: FileDraft, step: FixStep) -> str:
+def _reason_to_reject(old_draft: FileDraft, step: FixStepResult) -> str:
     """Return a reason if findings remain or appear after a fix, else ""."""
     if not step.fixed_findings:
         return ""

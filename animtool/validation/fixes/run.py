@@ -69,9 +69,9 @@ def fix_files(
     kept_files = [path for path in fixable_files if is_layer(path) and not overwrite]
     # A file and a link to it are the same file.
     files_to_fix = [path for path in reversed(fixable_files) if path not in kept_files]
-    changed_files = list(reversed({p.resolve(): p for p in files_to_fix}.values()))
-    check_outputs(changed_files, [], overwrite=True)
-    plans = [plan_fixes(path, options) for path in changed_files]
+    unique_files = list(reversed({p.resolve(): p for p in files_to_fix}.values()))
+    check_outputs(unique_files, [], overwrite=True)
+    plans = [plan_fixes(path, options) for path in unique_files]
     with atomic_outputs():
         for plan in plans:
             if plan.fixed_findings:

@@ -28,7 +28,12 @@ from animtool.documents.document import parse_document, parse_location, read_tex
 from animtool.documents.edit import Add, EditError, Remove, Replace, apply_edits
 from animtool.documents.references import split_reference
 from animtool.rig.parts import ArrayRef
-from animtool.validation.fixes.draft import FixEdits, FixStep, NotFixedError, load_fix
+from animtool.validation.fixes.draft import (
+    FixEdits,
+    FixStepResult,
+    NotFixedError,
+    load_fix,
+)
 from animtool.validation.run import findings_in
 from animtool.validation.subjects.open import open_document
 from animtool.validation.subjects.rig import RigSubject
@@ -63,8 +68,8 @@ def rest_from_bind(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     pointer = pointer_of(fault)
     joint = rig.file_entries("joints")[pointer[1]]
     pose = rig.document.value["bind"][joint["name"]]
-    keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
-    edits = tuple(Add(pointer, key, pose[key]) for key in keys)
+    pose_keys = [key for key in ("translate", "rotate") if pose.get(key) is not None]
+    edits = tuple(Add(pointer, key, pose[key]) for key in pose_keys)
     return FixEdits(f"sets the rest pose of {joint['name']!r} to its bind pose", edits)
 
 
@@ -79,23 +84,24 @@ def normalize_weights(checked_file: CheckedFile, fault: Fault) -> FixEdits:
     skin = rig.rig.meshes[pointer[1]].skin
     if "from" in rig.document.value or skin is None:
         raise NotFixedError("the mesh is in another file")
-    weights = skin.weights
-    if not isinstance(weights, ArrayRef):
+    weights_reference = skin.weights
+    if not isinstance(weights_reference, ArrayRef):
         raise NotFixedError("the weights are not in an npz file")
-    path = _unused_path(weights.path, weights.key)
-    name, _ = split_reference(weights.text, weights.key)
-    reference_text = f"{name[: -len(weights.path.name)]}{path.name}#{weights.key}"
-    remedy = f"writes {path.name} with the weights divided by their sums"
-    values = weights.load()
+    new_path = _unused_path(weights_reference.path, weights_reference.key)
+    npz_name, _ = split_reference(weights_reference.text, weights_reference.key)
+    folder_text = npz_name[: -len(weights_reference.path.name)]
+    reference_text = f"{folder_text}{new_path.name}#{weights_reference.key}"
+    remedy = f"writes {new_path.name} with the weights divided by their sums"
+    weights = weights_reference.load()
     normalized_weights = np.asarray(
-        values / values.sum(axis=1, keepdims=True), np.float32
+        weights / weights.sum(axis=1, keepdims=True), np.float32
     )
-    arrays = {path: {weights.key: normalized_weights}}
+    arrays = {new_path: {weights_reference.key: normalized_weights}}
     return FixEdits(remedy, (Replace(pointer, reference_text),), arrays)
 
 
 def _unused_path(path: Path, key: str) -> Path:
-    """Return a path for an array that does not exist yet, next to its npz file."""
+    """Return an unused path next to an npz file, for a file with one of its arrays."""
     problem = name_problem(f"{path.stem}_{key}.npz")
     if problem is not None:
         raise NotFixedError(f"the name of the array, {excerpt(key)}, {problem}")
@@ -138,7 +144,7 @@ class TextDraft:
         """Return the first finding only, since its fix may move the other ones."""
         return findings[:1]
 
-    def fix_batch(self, faults: Sequence[Fault]) -> FixStep:
+    def fix_batch(self, faults: Sequence[Fault]) -> FixStepResult:
         """Return the text with the first finding fixed, unless its fix writes arrays.
 
         Fixes that write arrays come last, since other fixes are validated with existing
@@ -149,15 +155,15 @@ class TextDraft:
             fix = self._fix_edits(fault)
             text = apply_edits(self.text, self.path, fix.edits)
             if fix.arrays:
-                return FixStep(self)
+                return FixStepResult(self)
             new_draft = replace(self, text=text)
             # Check that it can be read.
             _ = new_draft.findings
         except (NotFixedError, EditError, AnimtoolError) as error:
-            return FixStep(self, unfixed_findings=[(fault, str(error))])
-        return FixStep(new_draft, [(fault, fix.description)])
+            return FixStepResult(self, unfixed_findings=[(fault, str(error))])
+        return FixStepResult(new_draft, [(fault, fix.description)])
 
-    def fix_deferred(self, findings: Sequence[Fault]) -> FixStep:
+    def fix_deferred(self, findings: Sequence[Fault]) -> FixStepResult:
         """Return the text with the findings fixed whose fixes write arrays."""
         text, fixed_findings = self.text, []
         new_arrays = {path: dict(arrays) for path, arrays in self.arrays.items()}
@@ -174,7 +180,7 @@ class TextDraft:
                 new_arrays.setdefault(path, {}).update(arrays)
         codes = frozenset(fault.code for fault, _ in fixed_findings)
         draft = replace(self, text=text, arrays=new_arrays, fixed_by_arrays=codes)
-        return FixStep(draft, fixed_findings)
+        return FixStepResult(draft, fixed_findings)
 
     def fixable_findings(self, faults: Sequence[Fault]) -> Iterator[Fault]:
         """Yield the findings that can be fixed one by one."""
@@ -200,7 +206,7 @@ class TextDraft:
         return tuple(self.arrays)
 
     def write(self, output: Path) -> Sequence[str]:
-        """Write the new arrays, then the text, to files; return no remarks."""
+        """Write the new arrays and then the text to files; return no notices."""
         with atomic_outputs():
             with early_outputs(list(self.arrays)):
                 for path, arrays in self.arrays.items():
@@ -216,8 +222,8 @@ class TextDraft:
         if not self.arrays:
             return
         unwanted_codes = {*self.fixed_by_arrays, "RIG018", "RIG019"}
-        without_arrays = replace(self, arrays={})
-        if any(fault.code in unwanted_codes for fault in without_arrays.findings):
+        draft_without_arrays = replace(self, arrays={})
+        if any(fault.code in unwanted_codes for fault in draft_without_arrays.findings):
             path = next(iter(self.arrays))
             raise output_error(path, "it would not be read back as written")
 

@@ -44,7 +44,7 @@ class ShownFinding:
 
 @dataclass(frozen=True, slots=True)
 class Findings:
-    """Record of the template `FINDINGS`."""
+    """Record that the template `FINDINGS` prints."""
 
     shown: list[ShownFinding]
 
@@ -90,7 +90,7 @@ def text_report(
 
 
 def _findings_to_print(report: Report, *, shows_repeats: bool) -> list[ShownFinding]:
-    """Return the findings to print; of those without a line, one per kind."""
+    """Return the findings to print; those without a line are merged by code."""
     sources = SourceLineCache()
     repeat_counts = Counter(map(_repeat_key, report.findings))
     first_by_key: dict[_RepeatKey, Fault] = {}
@@ -164,11 +164,11 @@ def junit_report(report: Report) -> str:
     faults_by_file: dict[str, list[Fault]] = defaultdict(list)
     for fault in report.findings:
         faults_by_file[fault.path or "animtool"].append(fault)
-    names = dict.fromkeys([*map(str, report.files), *sorted(faults_by_file)])
+    file_names = dict.fromkeys([*map(str, report.files), *sorted(faults_by_file)])
     unreadable_files = report.unreadable()
     cases = (
         _junit_case(name, faults_by_file[name], is_unreadable=name in unreadable_files)
-        for name in names
+        for name in file_names
     )
     return junit_xml("animtool validate", cases)
 

@@ -32,8 +32,10 @@ def sarif_report(report: Report) -> str:
     sources = SourceLineCache()
     rule_objects = [_rule_object(rules[code]) for code in codes if code in rules]
     driver = {"name": "animtool", "version": version("animtool"), "rules": rule_objects}
-    rule_index = {rule["id"]: i for i, rule in enumerate(rule_objects)}
-    results = [_result_object(fault, rule_index, sources) for fault in report.findings]
+    index_by_code = {rule["id"]: i for i, rule in enumerate(rule_objects)}
+    results = [
+        _result_object(fault, index_by_code, sources) for fault in report.findings
+    ]
     _number_duplicates(results)
     file_names = dict.fromkeys(map(str, report.files))
     run = {
@@ -60,12 +62,16 @@ def _rule_object(rule: Rule) -> dict[str, Any]:
 
 
 def _result_object(
-    fault: Fault, rule_index: dict[str, int], sources: SourceLineCache
+    fault: Fault, index_by_code: dict[str, int], sources: SourceLineCache
 ) -> dict[str, Any]:
     message = f"{fault.message}; {fault.hint}" if fault.hint else fault.message
     result: dict[str, Any] = {
         "ruleId": fault.code,
-        **({"ruleIndex": rule_index[fault.code]} if fault.code in rule_index else {}),
+        **(
+            {"ruleIndex": index_by_code[fault.code]}
+            if fault.code in index_by_code
+            else {}
+        ),
         # Its levels are error, warning and note, too.
         "level": str(fault.severity),
         # Doubled braces are not placeholders (3.11.5).
@@ -112,9 +118,11 @@ def _fingerprint(fault: Fault, line: str | None) -> dict[str, str]:
 
 def _number_duplicates(results: Sequence[dict[str, Any]]) -> None:
     """Make equal fingerprints unique by numbering them."""
-    counts: dict[str, int] = {}
+    count_by_fingerprint: dict[str, int] = {}
     for result in results:
         fingerprints = result["partialFingerprints"]
         fingerprint = fingerprints["animtool/v1"]
-        counts[fingerprint] = counts.get(fingerprint, 0) + 1
-        fingerprints["animtool/v1"] = f"{fingerprint}:{counts[fingerprint]}"
+        count_by_fingerprint[fingerprint] = count_by_fingerprint.get(fingerprint, 0) + 1
+        fingerprints["animtool/v1"] = (
+            f"{fingerprint}:{count_by_fingerprint[fingerprint]}"
+        )

@@ -150,10 +150,12 @@ def _is_lying(subject: MotionSubject, feet: IntArray) -> BoolArray:
         other_joints &= rest_heights > rest_heights[feet].min() + min_distance
     if not other_joints.any():
         return np.zeros(subject.frame_count, bool)
-    lowest_foot = subject.heights[:, feet].min(axis=1)
-    lowest_other = subject.heights[:, other_joints].min(axis=1)
-    ground = _frame_windows(lowest_foot, STRIDE_SECONDS / subject.interval).min(axis=1)
-    is_lying = lowest_other < ground + MAX_LYING_HEIGHT * subject.size
+    lowest_foot_heights = subject.heights[:, feet].min(axis=1)
+    lowest_other_heights = subject.heights[:, other_joints].min(axis=1)
+    ground_heights = _frame_windows(
+        lowest_foot_heights, STRIDE_SECONDS / subject.interval
+    ).min(axis=1)
+    is_lying = lowest_other_heights < ground_heights + MAX_LYING_HEIGHT * subject.size
     windows = _frame_windows(is_lying, TRANSITION_SECONDS / subject.interval)
     return np.asarray(windows.any(axis=1))
 

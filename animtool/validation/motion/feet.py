@@ -40,19 +40,23 @@ def travel_scale(subject: MotionSubject, contacts: FootStances) -> float | None:
     Above 1 the feet are dragged along; below 1 they slip back.
     """
     ratios, weights = _velocity_ratios(subject, contacts)
-    hip_path = float(weights.sum()) * subject.interval / subject.size
+    hip_path_length = float(weights.sum()) * subject.interval / subject.size
     if len(ratios) * subject.interval < MIN_TRAVEL_SECONDS:
         return None
     order = np.argsort(ratios, kind="stable")
-    totals = np.cumsum(weights[order]) / weights.sum()
-    indices = np.searchsorted(totals, (0.15, 0.5, 0.75)).clip(0, len(order) - 1)
-    low, median, high = ratios[order][indices].tolist()
+    cumulative_weights = np.cumsum(weights[order]) / weights.sum()
+    quantile_indices = np.searchsorted(cumulative_weights, (0.15, 0.5, 0.75)).clip(
+        0, len(order) - 1
+    )
+    low, median, high = ratios[order][quantile_indices].tolist()
     is_dragged = (
         low > MIN_ALONG_RATIO and median - low < MAX_ALONG_SPREAD and median < 1.0
     )
     is_slipping = median < MAX_AGAINST_MEDIAN and high < MAX_AGAINST_QUARTILE
     is_slipping &= median - low < MAX_AGAINST_SPREAD * max(1.0, -median)
-    if hip_path * abs(median) < MIN_TOTAL_SLIDE or not (is_dragged or is_slipping):
+    if hip_path_length * abs(median) < MIN_TOTAL_SLIDE or not (
+        is_dragged or is_slipping
+    ):
         return None
     return float(1.0 / (1.0 - median))
 
@@ -137,11 +141,11 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
         length = _slide_length(subject, contacts, first, end - 1)
         if length >= MIN_REPEATED_SLIDE * subject.size and seconds >= MIN_SLIDE_SECONDS:
             slides.append((length, first, end - 1))
-    longest = max(slides, default=(0.0, 0, 0))
-    if len(slides) < MIN_SLIDES and longest[0] < MIN_SINGLE_SLIDE * subject.size:
+    longest_slide = max(slides, default=(0.0, 0, 0))
+    if len(slides) < MIN_SLIDES and longest_slide[0] < MIN_SINGLE_SLIDE * subject.size:
         yield from _travel_scale_fault(subject, contacts)
         return
-    length, first, last = longest
+    length, first, last = longest_slide
     joint = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
     repeat_text = ""
     if len(slides) > 1:
@@ -196,9 +200,9 @@ def _is_landing(speeds: FloatArray, heights: FloatArray) -> bool:
     False
     """
     height_change = float(heights[-1] - heights[0])
-    changes = np.diff(speeds) * np.sign(height_change)
+    speed_changes = np.diff(speeds) * np.sign(height_change)
     is_slowing = float(speeds.min()) < LANDING_RATIO * float(speeds.max())
-    is_monotonic = bool((changes >= 0.0).all())
+    is_monotonic = bool((speed_changes >= 0.0).all())
     return abs(height_change) > LANDING_HEIGHT and is_slowing and is_monotonic
 
 

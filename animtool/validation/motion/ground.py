@@ -170,9 +170,9 @@ def _is_hanging(
     rest_positions: FloatArray, heights: FloatArray, leg: list[int]
 ) -> bool:
     """Return whether a leg hangs straight down in the rest pose."""
-    bones = np.linalg.norm(np.diff(rest_positions[leg], axis=0), axis=1)
-    height = heights[leg[-1]] - heights[leg[0]]
-    return bool(height > HANGING_FRACTION * bones.sum() > 0.0)
+    bone_lengths = np.linalg.norm(np.diff(rest_positions[leg], axis=0), axis=1)
+    leg_height = heights[leg[-1]] - heights[leg[0]]
+    return bool(leg_height > HANGING_FRACTION * bone_lengths.sum() > 0.0)
 
 
 def _sunk_foot_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[Fault]:

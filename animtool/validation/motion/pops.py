@@ -98,7 +98,7 @@ def _pop_fault(
     pops = all_pops[0]
     step, column = pops.find_largest()
     joint = int(pops.joints[column])
-    names = {
+    jumping_names = {
         subject.take.rig.joints[int(pop_steps.joints[i])].name: None
         for pop_steps in all_pops
         for i in np.flatnonzero(pop_steps.is_pop.any(axis=0))
@@ -111,7 +111,7 @@ def _pop_fault(
         f"{name!r} jumps by {pops.size_text(step, column)} from frame {frames_text}, "
         "unlike the motion around it"
     )
-    other_names = [other_name for other_name in names if other_name != name]
+    other_names = [other_name for other_name in jumping_names if other_name != name]
     if step_count > 1:
         message += f"; there are {step_count} such steps in total"
     if other_names:

@@ -171,14 +171,14 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
         return
     gaps = np.diff(subject.time_codes)
     typical_gap = float(np.median(gaps))
-    ratios = gaps / typical_gap
-    is_even = np.abs(ratios - 1.0) < 0.25
-    gap_indices = np.flatnonzero(ratios > GAP_RATIO)
+    gap_ratios = gaps / typical_gap
+    is_even = np.abs(gap_ratios - 1.0) < 0.25
+    gap_indices = np.flatnonzero(gap_ratios > GAP_RATIO)
     # Curve keys have any spacing; even sampling has few gaps.
     if not len(gap_indices) or np.count_nonzero(is_even) < 0.9 * len(gaps):
         return
     gap_index = int(gap_indices[0])
-    lost_count = max(1, round(float(ratios[gap_index])) - 1)
+    lost_count = max(1, round(float(gap_ratios[gap_index])) - 1)
     other_count = len(gap_indices) - 1
     repeat_text = f"; there are {other_count} more gaps" if other_count else ""
     message = (
@@ -233,8 +233,8 @@ def _find_lost_steps(subject: MotionSubject) -> tuple[FloatArray, BoolArray]:
     )
     is_possible &= total_steps > MIN_SPEED_RATIO * np.median(total_steps)
     is_possible &= ~(subject.cut_mask() | _near_repeats(subject))[2:-2]
-    products = np.einsum("snc,snc->sn", middle_steps, predicted_step)
-    is_contradicting = products < MAX_CONTRADICTING_STEPS * squared_steps
+    dot_products = np.einsum("snc,snc->sn", middle_steps, predicted_step)
+    is_contradicting = dot_products < MAX_CONTRADICTING_STEPS * squared_steps
     loss_weight = (is_significant * squared_steps).sum(axis=1)
     contradicting_weight = (is_significant * is_contradicting * squared_steps).sum(
         axis=1

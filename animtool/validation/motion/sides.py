@@ -58,8 +58,8 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
     scales = subject.take.motion.scales
     if scales is None:
         return
-    values = scales.dense()
-    is_zero = np.asarray(np.abs(values).min(axis=2) < MIN_VISIBLE_SCALE)
+    scale_values = scales.dense()
+    is_zero = np.asarray(np.abs(scale_values).min(axis=2) < MIN_VISIBLE_SCALE)
     zero_joints = np.flatnonzero(is_zero.any(axis=0))
     if not len(zero_joints):
         return
@@ -83,22 +83,22 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     is_reported = any(notice.code == "CLIP121" for notice in subject.take.notices)
     if weights is None or is_reported:
         return
-    values = weights.dense()[..., 0]
-    is_large = (values > MAX_WEIGHT) | (values < MIN_WEIGHT)
+    weight_values = weights.dense()[..., 0]
+    is_large = (weight_values > MAX_WEIGHT) | (weight_values < MIN_WEIGHT)
     if not is_large.any():
         return
-    largest_index = int(np.where(is_large, np.abs(values), 0).argmax())
-    frame, shape = np.unravel_index(largest_index, values.shape)
+    largest_index = int(np.where(is_large, np.abs(weight_values), 0).argmax())
+    frame, shape = np.unravel_index(largest_index, weight_values.shape)
     shapes = subject.take.rig.shapes
     names = [shapes[s].name for s in np.flatnonzero(is_large.any(axis=0))]
     name = shapes[int(shape)].name
     other_names = [repr(other_name) for other_name in names if other_name != name]
     message = (
-        f"shape {name!r} has weight {values[frame, shape]:.4g} at frame "
+        f"shape {name!r} has weight {weight_values[frame, shape]:.4g} at frame "
         f"{subject.time_text(int(frame))}"
     )
     message += f"; also {listed(other_names)}" if other_names else ""
-    largest_weight = float(np.abs(values).max())
+    largest_weight = float(np.abs(weight_values).max())
     hint = "weights must be from 0 to 1"
     if largest_weight > MIN_PERCENT_WEIGHT:
         hint += f"; {percent_hint(largest_weight)}"
@@ -109,39 +109,55 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if bind and rest pose differ in size or position (MOT220)."""
     if subject.bind_positions is None or not subject.has_rest:
         return
-    rig, bind, rest = subject.take.rig, subject.bind_positions, subject.rest_positions
-    distance = float(np.linalg.norm(bind.mean(axis=0) - rest.mean(axis=0)))
+    rig, bind_positions, rest_positions = (
+        subject.take.rig,
+        subject.bind_positions,
+        subject.rest_positions,
+    )
+    mean_distance = float(
+        np.linalg.norm(bind_positions.mean(axis=0) - rest_positions.mean(axis=0))
+    )
     parents = rig.parents
-    bone_ids = np.flatnonzero(parents >= 0)
-    lengths = np.linalg.norm(rest[bone_ids] - rest[parents[bone_ids]], axis=1)
-    is_measured = lengths > MIN_BONE_LENGTH * subject.size
-    bone_ids, lengths = bone_ids[is_measured], lengths[is_measured]
-    ratios = np.linalg.norm(bind[bone_ids] - bind[parents[bone_ids]], axis=1) / lengths
-    is_different = (ratios > MAX_BONE_RATIO) | (ratios < 1.0 / MAX_BONE_RATIO)
+    child_joints = np.flatnonzero(parents >= 0)
+    rest_lengths = np.linalg.norm(
+        rest_positions[child_joints] - rest_positions[parents[child_joints]], axis=1
+    )
+    is_measured = rest_lengths > MIN_BONE_LENGTH * subject.size
+    child_joints, rest_lengths = child_joints[is_measured], rest_lengths[is_measured]
+    length_ratios = (
+        np.linalg.norm(
+            bind_positions[child_joints] - bind_positions[parents[child_joints]], axis=1
+        )
+        / rest_lengths
+    )
+    is_different = (length_ratios > MAX_BONE_RATIO) | (
+        length_ratios < 1.0 / MAX_BONE_RATIO
+    )
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
-    if len(bone_ids) and float(is_different.mean()) > MAX_DIFFERENT_FRACTION:
-        most_different = int(np.abs(np.log(np.maximum(ratios, 1e-12))).argmax())
-        joint = int(bone_ids[most_different])
+    if len(child_joints) and float(is_different.mean()) > MAX_DIFFERENT_FRACTION:
+        most_different = int(np.abs(np.log(np.maximum(length_ratios, 1e-12))).argmax())
+        joint = int(child_joints[most_different])
         message = (
-            f"{np.count_nonzero(is_different)} of {len(bone_ids)} bones have a "
+            f"{np.count_nonzero(is_different)} of {len(child_joints)} bones have a "
             f"different length in the bind pose; that to {rig.joints[joint].name!r} is "
-            f"{plain_number(ratios[most_different])} times its rest length"
+            f"{plain_number(length_ratios[most_different])} times its rest length"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
         return
-    if distance > MAX_BIND_DISTANCE * subject.size:
+    if mean_distance > MAX_BIND_DISTANCE * subject.size:
         message = (
-            f"the bind pose is {distance:.3g} m from the rest pose, of a skeleton that "
-            f"spans {subject.size:.3g} m"
+            f"the bind pose is {mean_distance:.3g} m from the rest pose, of a skeleton "
+            f"that spans {subject.size:.3g} m"
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
         return
-    offsets = np.linalg.norm(bind - rest, axis=1)
-    joint = int(offsets.argmax())
-    if offsets[joint] > MAX_BIND_DISTANCE * subject.size:
+    joint_distances = np.linalg.norm(bind_positions - rest_positions, axis=1)
+    joint = int(joint_distances.argmax())
+    if joint_distances[joint] > MAX_BIND_DISTANCE * subject.size:
         message = (
-            f"{rig.joints[joint].name!r} is {offsets[joint]:.3g} m from its rest "
-            f"position in the bind pose, of a skeleton that spans {subject.size:.3g} m"
+            f"{rig.joints[joint].name!r} is {joint_distances[joint]:.3g} m from its "
+            "rest position in the bind pose, of a skeleton that spans "
+            f"{subject.size:.3g} m"
         )
         yield subject.fault("MOT220", joint, None, message, hint)
 
@@ -257,7 +273,7 @@ def _side_swaps(
 def _side_deviations(
     left: FloatArray, right: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return angles to what each side would continue, own and opposite ``(F - 1, P)``.
+    """Return deviations from the extrapolated same and opposite side ``(F - 1, P)``.
 
     The first is the smaller one of both sides, the second the larger one [rad].
     """
@@ -277,10 +293,10 @@ def _extrapolation_error(rotations: FloatArray, predictors: FloatArray) -> Float
     still or repeat the rotation of the previous step: the smaller angle counts.
     """
     rotations_per_step = so3.multiply(predictors[1:-1], so3.conjugate(predictors[:-2]))
-    predicted_side = predictors[:-1].copy()
-    predicted_side[1:] = so3.multiply(rotations_per_step, predictors[1:-1])
-    errors = so3.angle_between(rotations[1:], predicted_side)
-    return np.minimum(errors, so3.angle_between(rotations[1:], predictors[:-1]))
+    predicted_rotations = predictors[:-1].copy()
+    predicted_rotations[1:] = so3.multiply(rotations_per_step, predictors[1:-1])
+    angles = so3.angle_between(rotations[1:], predicted_rotations)
+    return np.minimum(angles, so3.angle_between(rotations[1:], predictors[:-1]))
 
 
 def _is_continuous_swap(
@@ -297,8 +313,8 @@ def _is_continuous_swap(
     zero_row = np.zeros((1, steps.shape[1]))
     deviation_before = np.concatenate([zero_row, deviation[:-1]])
     deviation_after = np.concatenate([reverse_deviation[1:], zero_row])
-    largest = np.maximum(deviation_before, deviation_after)
-    return np.asarray(is_moving & (largest < MAX_SWAP_RATIO * deviation))
+    largest_deviation = np.maximum(deviation_before, deviation_after)
+    return np.asarray(is_moving & (largest_deviation < MAX_SWAP_RATIO * deviation))
 
 
 def motionless_side(subject: MotionSubject) -> Iterator[Fault]:
@@ -311,17 +327,20 @@ def motionless_side(subject: MotionSubject) -> Iterator[Fault]:
     seconds = (subject.frame_count - 1) * subject.interval
     if seconds < MIN_TAKE_SECONDS or has_static_root:
         return
-    ranges = np.zeros(len(subject.take.rig.joints))
+    angle_ranges = np.zeros(len(subject.take.rig.joints))
     angles = so3.angle_between(channel.values, channel.values[:1])
     # A single deviating frame is no motion.
-    ranges[channel.animated] = np.maximum(
+    angle_ranges[channel.animated] = np.maximum(
         np.percentile(angles, 90, axis=0) if len(channel.animated) else 0.0,
         np.minimum(angles.max(axis=0, initial=0.0), 2.0 * STATIC_ANGLE),
     )
     pairs: list[tuple[int, int]] = []
     for left, right in _side_pairs(subject):
         for joint_index, opposite in ((left, right), (right, left)):
-            if ranges[joint_index] <= STATIC_ANGLE and ranges[opposite] >= ACTIVE_ANGLE:
+            if (
+                angle_ranges[joint_index] <= STATIC_ANGLE
+                and angle_ranges[opposite] >= ACTIVE_ANGLE
+            ):
                 pairs.append((joint_index, opposite))
     if not pairs:
         return
@@ -330,7 +349,7 @@ def motionless_side(subject: MotionSubject) -> Iterator[Fault]:
     other_names = [names[i] for i, _ in pairs[1:]]
     message = (
         f"{names[joint_index]!r} never rotates, but {names[opposite]!r} does, by "
-        f"{math.degrees(ranges[opposite]):.0f}°"
+        f"{math.degrees(angle_ranges[opposite]):.0f}°"
     )
     message += f"; nor do {listed(other_names)}" if other_names else ""
     hint = "its sensor or its channels were lost"

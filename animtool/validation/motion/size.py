@@ -94,13 +94,13 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
 def _bone_factor(subject: MotionSubject) -> float | None:
     """Return the ratio of animated to rest bone lengths if it is a unit conversion."""
     rig, translations = subject.take.rig, subject.take.motion.translations
-    bone_ids = np.flatnonzero(~positioned_joints(subject))
-    rest_lengths = np.linalg.norm(rig.rest_translations[bone_ids], axis=1)
+    child_joints = np.flatnonzero(~positioned_joints(subject))
+    rest_lengths = np.linalg.norm(rig.rest_translations[child_joints], axis=1)
     is_measured = rest_lengths > MIN_BONE_LENGTH * subject.rest_size
-    bone_ids, rest_lengths = bone_ids[is_measured], rest_lengths[is_measured]
-    if not len(bone_ids):
+    child_joints, rest_lengths = child_joints[is_measured], rest_lengths[is_measured]
+    if not len(child_joints):
         return None
-    lengths = np.linalg.norm(translations.gather(bone_ids), axis=2)
+    lengths = np.linalg.norm(translations.gather(child_joints), axis=2)
     ratios = np.median(lengths, axis=0) / rest_lengths
     return _unit_factor(ratios)
 

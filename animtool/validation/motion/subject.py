@@ -112,9 +112,11 @@ class MotionSubject:
         The rotations are in the parent's space, and scaled to the median interval if
         samples are uneven.
         """
-        values = self.take.motion.rotations.values
-        vectors = so3.log(so3.multiply(values[1:], so3.conjugate(values[:-1])))
-        return np.asarray(vectors * self._step_rates[:, None, None])
+        rotations = self.take.motion.rotations.values
+        rotation_vectors = so3.log(
+            so3.multiply(rotations[1:], so3.conjugate(rotations[:-1]))
+        )
+        return np.asarray(rotation_vectors * self._step_rates[:, None, None])
 
     @cached_property
     def translation_steps(self) -> FloatArray:
@@ -129,11 +131,13 @@ class MotionSubject:
         The square root of the sum of squared rotations [rad] and squared translations,
         in units of half the size of the rig.
         """
-        rotations, translations = (
+        squared_rotations, squared_translations = (
             np.einsum("fjc,fjc->f", steps, steps)
             for steps in (self.rotation_steps, self.translation_steps)
         )
-        return np.asarray(np.sqrt(rotations + translations * (2.0 / self.size) ** 2))
+        return np.asarray(
+            np.sqrt(squared_rotations + squared_translations * (2.0 / self.size) ** 2)
+        )
 
     @cached_property
     def joints_leaving_pose(self) -> IntArray:
@@ -206,22 +210,28 @@ class MotionSubject:
     def _scale(self) -> float:
         """Median ratio of animated to rest bone lengths, world."""
         parents = self.take.rig.parents
-        bone_ids = np.flatnonzero(parents >= 0)
-        if not self.has_rest or not len(bone_ids) or not self.frame_count:
+        child_joints = np.flatnonzero(parents >= 0)
+        if not self.has_rest or not len(child_joints) or not self.frame_count:
             return 1.0
         rest_vectors = (
-            self.rest_positions[bone_ids] - self.rest_positions[parents[bone_ids]]
+            self.rest_positions[child_joints]
+            - self.rest_positions[parents[child_joints]]
         )
         rest_lengths = np.linalg.norm(rest_vectors, axis=1)
         is_measured = rest_lengths > MIN_SCALE_BONE * self.rest_size
-        bone_ids, rest_lengths = bone_ids[is_measured], rest_lengths[is_measured]
-        if not len(bone_ids):
+        child_joints, rest_lengths = (
+            child_joints[is_measured],
+            rest_lengths[is_measured],
+        )
+        if not len(child_joints):
             return 1.0
         frame_indices = np.unique(
             np.linspace(0, self.frame_count - 1, SCALE_FRAME_COUNT).astype(int)
         )
         positions = self.positions[frame_indices]
-        animated_vectors = positions[:, bone_ids] - positions[:, parents[bone_ids]]
+        animated_vectors = (
+            positions[:, child_joints] - positions[:, parents[child_joints]]
+        )
         lengths = np.linalg.norm(animated_vectors, axis=2)
         scale = float(np.median(lengths / rest_lengths))
         return scale if max(scale, 1.0 / max(scale, 1e-12)) > MIN_SCALE_RATIO else 1.0
@@ -238,9 +248,10 @@ class MotionSubject:
 
     def ground_positions(self, joints: IntArray) -> FloatArray:
         """Return horizontal joint positions ``(F, len(joints), 3)`` [m]."""
-        points = self.positions[:, joints]
+        joint_positions = self.positions[:, joints]
         return np.asarray(
-            points - (points @ self.up_vector)[..., None] * self.up_vector
+            joint_positions
+            - (joint_positions @ self.up_vector)[..., None] * self.up_vector
         )
 
     def cut_mask(self) -> BoolArray:

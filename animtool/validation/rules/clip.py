@@ -91,10 +91,10 @@ def _excess_text(
     channel: ClipChannel, key: int, frames: FloatArray, excess: FloatArray
 ) -> str:
     """Return a message about a segment that exceeds limits, by how much and where."""
-    largest = float(excess.max())
-    amount_text = f"{largest:.3g}"
+    largest_excess = float(excess.max())
+    amount_text = f"{largest_excess:.3g}"
     if channel.target.endswith((".angle", ".rotation")):
-        amount_text = f"{math.degrees(largest):.3g}{DEGREE_SIGN}"
+        amount_text = f"{math.degrees(largest_excess):.3g}{DEGREE_SIGN}"
     key_frames = f"{channel.times[key]:g} and {channel.times[key + 1]:g}"
     frames_text = f"frame {frames[0]:g}"
     if len(frames) > 1:
@@ -254,21 +254,23 @@ def _wraps_after(
     limits: RangeLimit | None,
 ) -> bool:
     """Return whether an angle wraps after a key; ``short_path`` is the short step."""
-    values = channel.values[:, axis]
-    first_value, second_value = float(values[key]), float(values[key + 1])
-    if limits is not None and not limits.low <= first_value + short_path <= limits.high:
+    angles = channel.values[:, axis]
+    first_angle, second_angle = float(angles[key]), float(angles[key + 1])
+    if limits is not None and not limits.low <= first_angle + short_path <= limits.high:
         return False
-    rates = np.diff(values) / np.diff(channel.times)
-    rates_around = [float(rates[j]) for j in (key - 1, key + 1) if 0 <= j < len(rates)]
-    if any(rate / rates[key] >= MIN_SPIN_RATIO for rate in rates_around):
+    speeds = np.diff(angles) / np.diff(channel.times)
+    adjacent_speeds = [
+        float(speeds[j]) for j in (key - 1, key + 1) if 0 <= j < len(speeds)
+    ]
+    if any(speed / speeds[key] >= MIN_SPIN_RATIO for speed in adjacent_speeds):
         return False
-    largest = max(abs(first_value), abs(second_value))
-    if first_value * second_value < 0 and largest <= math.pi + CYCLE_TOLERANCE:
+    largest_angle = max(abs(first_angle), abs(second_angle))
+    if first_angle * second_angle < 0 and largest_angle <= math.pi + CYCLE_TOLERANCE:
         return True
     # Within another revolution, only reversed motion before and after is a sign of
     # wrapping.
-    return len(rates_around) == 2 and all(
-        rate * short_path > 0 for rate in rates_around
+    return len(adjacent_speeds) == 2 and all(
+        speed * short_path > 0 for speed in adjacent_speeds
     )
 
 
@@ -294,8 +296,8 @@ def _nearby_equivalent_euler(
     angle_steps = np.abs(second - first)
     if angle_steps[[0, 2]].min() <= MIN_FAR_ANGLE:
         return None
-    equivalent = [second[0] + math.pi, math.pi - second[1], second[2] + math.pi]
-    angles = _unwrapped(first, np.array(equivalent))
+    equivalent_angles = [second[0] + math.pi, math.pi - second[1], second[2] + math.pi]
+    angles = _unwrapped(first, np.array(equivalent_angles))
     return angles if _value_distance(first, angles) < MAX_WRAP_SHORT_PATH else None
 
 

@@ -109,16 +109,16 @@ def undefined_drives(rig: RigSubject) -> Iterator[Fault]:
         for drive_index, drive in enumerate(control.drives):
             with np.errstate(all="ignore"):
                 drive_values = drive.evaluate(control.name, values)
-            inputs: Sequence[str] = (control.name,)
+            input_names: Sequence[str] = (control.name,)
             if drive.expression is not None:
-                inputs = drive.expression.names
+                input_names = drive.expression.names
             # If another drive's value is undefined, that drive is at fault.
             is_undefined = ~np.isfinite(drive_values)
-            for input_name in inputs:
+            for input_name in input_names:
                 is_undefined = is_undefined & np.isfinite(values[input_name])
             if not is_undefined.any():
                 continue
-            is_input_moving = [c.name in inputs for c in sweep.moving_controls]
+            is_input_moving = [c.name in input_names for c in sweep.moving_controls]
             if (is_undefined & is_input_moving).any():
                 is_undefined = is_undefined & is_input_moving
             frame = int(sweep.broadcast(is_undefined).argmax())
@@ -193,19 +193,21 @@ def idle_controls(rig: RigSubject) -> Iterator[Fault]:
 def _sweep_controls(rig: RigSubject) -> _ControlSweep:
     """Return a sweep of each control with all other controls at their defaults."""
     controls = rig.rig.controls
-    sweeps = {control.name: _sampled_values(control) for control in controls}
-    frame_count = sum(map(len, sweeps.values()))
-    keyed_values: dict[str, FloatArray] = {}
+    samples_by_control = {
+        control.name: _sampled_values(control) for control in controls
+    }
+    frame_count = sum(map(len, samples_by_control.values()))
+    values_by_control: dict[str, FloatArray] = {}
     moving_controls: list[Control] = []
     for control in controls:
         values = np.full(frame_count, control.default)
-        samples = sweeps[control.name]
+        samples = samples_by_control[control.name]
         values[len(moving_controls) : len(moving_controls) + len(samples)] = samples
         moving_controls += [control] * len(samples)
-        keyed_values[control.name] = values
+        values_by_control[control.name] = values
     with np.errstate(all="ignore"):
-        driven_values = evaluate_controls(controls, keyed_values)
-    return _ControlSweep(moving_controls, keyed_values, driven_values)
+        driven_values = evaluate_controls(controls, values_by_control)
+    return _ControlSweep(moving_controls, values_by_control, driven_values)
 
 
 def _sampled_values(control: Control) -> FloatArray:
@@ -223,12 +225,16 @@ def _limit_excess(joint: Joint, targets: dict[str, FloatArray]) -> FloatArray:
     """Return how far controls drive a joint beyond its limits ``(F,)`` or ``(1,)``."""
     if isinstance(joint.limits, RangeLimit):
         coordinate = "slide" if joint.type == "prismatic" else "angle"
-        value = targets.get(f"joint/{joint.name}.{coordinate}")
-        return _ZERO if value is None else joint.limits.excess(value)
+        coordinate_values = targets.get(f"joint/{joint.name}.{coordinate}")
+        return (
+            _ZERO
+            if coordinate_values is None
+            else joint.limits.excess(coordinate_values)
+        )
     if isinstance(joint.limits, BallLimit):
-        names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
-        axis_angles = [targets.get(name, _ZERO) for name in names]
-        is_driven = any(name in targets for name in names)
+        target_names = [f"joint/{joint.name}.rotation.{axis}" for axis in "xyz"]
+        axis_angles = [targets.get(name, _ZERO) for name in target_names]
+        is_driven = any(name in targets for name in target_names)
         if not is_driven or _is_within_limits(joint.limits, axis_angles):
             return _ZERO
         rotation = so3.exp(np.stack(np.broadcast_arrays(*axis_angles), axis=-1))
@@ -261,16 +267,16 @@ def _affecting_drive(rig: RigSubject, control: Control, target: str) -> Location
 def _shape_weights(rig: RigSubject, driven_names: set[str]) -> dict[str, FloatArray]:
     """Return the weights of driven and combination shapes in poses of all controls."""
     rng = np.random.default_rng(0)
-    keyed_values = {}
+    values_by_control = {}
     for control in rig.rig.controls:
         low = -1.0 if control.low is None else control.low
         high = 1.0 if control.high is None else control.high
         end_values = np.where(rng.random(POSE_SAMPLES) < 0.5, low, high)
         inner_values = rng.uniform(low, high, POSE_SAMPLES)
         is_end = rng.random(POSE_SAMPLES) < RANGE_END_PROBABILITY
-        keyed_values[control.name] = np.where(is_end, end_values, inner_values)
+        values_by_control[control.name] = np.where(is_end, end_values, inner_values)
     with np.errstate(all="ignore"):
-        targets = evaluate_controls(rig.rig.controls, keyed_values).targets
+        targets = evaluate_controls(rig.rig.controls, values_by_control).targets
     weights = {name: targets[f"shape/{name}"] for name in sorted(driven_names)}
     for shape in combination_order(rig.rig.shapes):
         if shape.combine and all(name in weights for name in shape.combine):
@@ -351,16 +357,16 @@ def _driver_values(driver: Driver, inputs: dict[str, FloatArray]) -> FloatArray:
 def _input_samples(rig: RigSubject, driver: Driver) -> dict[str, FloatArray]:
     """Sample the inputs of a driver: each alone over its range, then all at random."""
     rng = np.random.default_rng(0)
-    names = driver.names
-    samples = {}
-    for i, name in enumerate(names):
+    input_names = driver.names
+    samples_by_input = {}
+    for i, name in enumerate(input_names):
         lower, upper = _input_range(rig.rig, name)
         rest_value = min(max(0.0, lower), upper)
-        values = np.full((len(names), INPUT_SAMPLES), rest_value)
+        values = np.full((len(input_names), INPUT_SAMPLES), rest_value)
         values[i] = np.linspace(lower, upper, INPUT_SAMPLES)
         random_values = rng.uniform(lower, upper, RANDOM_SAMPLES)
-        samples[name] = np.concatenate([values.ravel(), random_values])
-    return samples
+        samples_by_input[name] = np.concatenate([values.ravel(), random_values])
+    return samples_by_input
 
 
 def _input_range(rig: Rig, name: str) -> tuple[float, float]:

@@ -164,19 +164,19 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
     if len(rig.rig.joints) < MIN_SKELETON_JOINTS or not rig.size:
         return
     with Archives() as archives:
-        sizes = {
+        size_by_mesh = {
             mesh.name: _bounds_diagonal(mesh, archives) * rig.rig.meters_per_unit
             for mesh in rig.rig.meshes
             if mesh.skin is not None and mesh.geom_bind is None
         }
-    largest = max(sizes.values(), default=0.0)
+    largest_size = max(size_by_mesh.values(), default=0.0)
     if (
-        largest
-        and not rig.size / MAX_SIZE_RATIO <= largest <= rig.size * MAX_SIZE_RATIO
+        largest_size
+        and not rig.size / MAX_SIZE_RATIO <= largest_size <= rig.size * MAX_SIZE_RATIO
     ):
-        largest_name = max(sizes, key=lambda name: sizes[name])
+        largest_name = max(size_by_mesh, key=lambda name: size_by_mesh[name])
         message = (
-            f"{largest_name!r} measures {largest:.3g} m, but the joints at rest "
+            f"{largest_name!r} measures {largest_size:.3g} m, but the joints at rest "
             f"{rig.size:.3g} m"
         )
         hint = "points use the file's unit, as joints do; or write geom_bind"
@@ -207,34 +207,38 @@ def skins_off_joints(rig: RigSubject) -> Iterator[Fault]:
     """Report skinned meshes that are not where their joints are bound (RIG225)."""
     if not rig.size or not any(mesh.skin for mesh in rig.rig.meshes):
         return
-    positions = rig.bind_positions
+    bind_positions = rig.bind_positions
     with Archives() as archives:
         for mesh in rig.rig.meshes:
             if mesh.skin is None or mesh.geom_bind is not None:
                 continue
             points_by_joint = _points_by_joint(rig, mesh, archives)
             location = (*rig.at("meshes", mesh.name), "skin")
-            swapped_joints = _swapped_skins(rig, points_by_joint, positions)
+            swapped_joints = _swapped_skins(rig, points_by_joint, bind_positions)
             if swapped_joints:
                 left, right = (rig.rig.names[joint] for joint in swapped_joints)
                 message = f"the skin of {left!r} is at {right!r}, and vice versa"
                 yield rig.fault("RIG225", location, message, "exchange the two joints")
                 continue
-            distances = {}
+            distance_by_joint = {}
             for joint, points in points_by_joint.items():
                 centre = points.mean(axis=0)
                 spread = float(np.sqrt(((points - centre) ** 2).sum(axis=1).mean()))
-                distance = _distance_to_joint(rig, centre, joint, positions)
-                limit = max(MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size)
-                if distance > limit:
-                    distances[rig.rig.names[joint]] = distance
-            if len(distances) < MIN_DISTANT_JOINTS:
+                distance = _distance_to_joint(rig, centre, joint, bind_positions)
+                max_distance = max(
+                    MAX_SKIN_SPREADS * spread, MAX_SKIN_DISTANCE * rig.size
+                )
+                if distance > max_distance:
+                    distance_by_joint[rig.rig.names[joint]] = distance
+            if len(distance_by_joint) < MIN_DISTANT_JOINTS:
                 continue
-            farthest_name = max(distances, key=lambda name: distances[name])
+            farthest_name = max(
+                distance_by_joint, key=lambda name: distance_by_joint[name]
+            )
             message = (
-                f"{mesh.name!r} is not where {len(distances)} of its joints are bound: "
-                f"the skin of {farthest_name!r} is "
-                f"{length_text(distances[farthest_name])} from it"
+                f"{mesh.name!r} is not where {len(distance_by_joint)} of its joints "
+                f"are bound: the skin of {farthest_name!r} is "
+                f"{length_text(distance_by_joint[farthest_name])} from it"
             )
             hint = "write the pose in which the mesh was made under bind"
             if rig.rig.bind:
@@ -285,15 +289,19 @@ def _points_by_joint(
     points = mesh.points.load(archives) * rig.rig.meters_per_unit
     main_joints = indices[np.arange(len(weights)), weights.argmax(axis=1)]
     joints = enumerate(map(rig.rig.index, skin.joints))
-    groups = {joint: points[main_joints == i] for i, joint in joints}
-    return {j: group for j, group in groups.items() if len(group) >= MIN_SKIN_POINTS}
+    points_by_joint = {joint: points[main_joints == i] for i, joint in joints}
+    return {
+        j: group
+        for j, group in points_by_joint.items()
+        if len(group) >= MIN_SKIN_POINTS
+    }
 
 
 def _distance_to_bones(point: FloatArray, ends: FloatArray) -> float:
     """Return the distance of a point to segments from the first end to the others."""
     start, vectors = ends[0], ends - ends[0]
-    lengths = np.maximum((vectors**2).sum(axis=1), np.finfo(float).tiny)
-    fractions = np.clip(vectors @ (point - start) / lengths, 0.0, 1.0)
+    squared_lengths = np.maximum((vectors**2).sum(axis=1), np.finfo(float).tiny)
+    fractions = np.clip(vectors @ (point - start) / squared_lengths, 0.0, 1.0)
     nearest_points = start + fractions[:, None] * vectors
     return float(np.linalg.norm(point - nearest_points, axis=1).min())
 

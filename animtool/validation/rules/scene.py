@@ -33,9 +33,13 @@ def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
         rig_layers = [output.bake.rig_layer] if output.bake.rig_layer else []
         inputs = {path.resolve() for path in (*read_files, *rig_layers)}
         files = create_outline(replace(scene, outputs=(output,)), None).files
-        names = [repr(path.name) for path in files if path.resolve() in inputs]
-        if names:
-            message = f"would overwrite {' and '.join(names)}, which it reads"
+        overwritten_names = [
+            repr(path.name) for path in files if path.resolve() in inputs
+        ]
+        if overwritten_names:
+            message = (
+                f"would overwrite {' and '.join(overwritten_names)}, which it reads"
+            )
             yield subject.fault("OUT003", (*location, "file"), message, "name another")
 
 
@@ -48,8 +52,8 @@ def outputs_over_outputs(subject: SceneSubject) -> Iterator[Fault]:
     written_outputs = []
     for location, output in subject.outputs:
         if output.path is not None:
-            take = _library_take(subject.scene.path, output.bake)
-            written_outputs.append((location, (output.path.resolve(), take)))
+            library_take = _library_take(subject.scene.path, output.bake)
+            written_outputs.append((location, (output.path.resolve(), library_take)))
     for path in sorted(scene_path.parent.iterdir()) if written_outputs else ():
         if path == scene_path or not has_kind_suffix(path, "scene"):
             continue
@@ -177,11 +181,11 @@ def _range_faults(
         return
     if is_outside != (frame_range.last < start_code or frame_range.first > last_code):
         return
-    subject_text, location = "range", ("range",)
+    range_label, location = "range", ("range",)
     if scene.bake.shot is not None:
-        subject_text, location = "cut with its handles,", ("shot",)
+        range_label, location = "cut with its handles,", ("shot",)
     message = (
-        f"the {subject_text} from {frame_range.first} to {frame_range.last} {reason}, "
+        f"the {range_label} from {frame_range.first} to {frame_range.last} {reason}, "
         f"which has output frames {float(start_code):g} to {float(last_code):g}"
     )
     hint = "frame numbers are those of the output, counted from its start"
@@ -205,8 +209,8 @@ def nearly_equal_rate(subject: SceneSubject) -> Iterator[Fault]:
         return
     if abs(output_rate - source_rate) > MAX_NEAR_RATE_RATIO * source_rate:
         return
-    rates = f"{rate_label(output_rate)}, but the take {rate_label(source_rate)}"
-    message = f"the output has {rates}"
+    rates_text = f"{rate_label(output_rate)}, but the take {rate_label(source_rate)}"
+    message = f"the output has {rates_text}"
     hint = "remove fps; for a BVH with a wrong rate, set source.fps"
     yield subject.fault("SCN205", ("fps",), message, hint)
 

@@ -90,11 +90,15 @@ def _keys_outside(
 def duplicate_goals(subject: TargetsSubject) -> Iterator[Fault]:
     """Report goals that constrain an effector in the same way as another (TGT202)."""
     goals = subject.targets.goals
-    groups: dict[tuple[object, ...], list[int]] = {}
+    indices_by_effector: dict[tuple[object, ...], list[int]] = {}
     for i, goal in enumerate(goals):
-        effector = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
-        groups.setdefault(effector, []).append(i)
-    pairs = [pair for group in groups.values() for pair in combinations(group, 2)]
+        effector_key = goal.name, goal.goal.offset, goal.goal.root, goal.goal.priority
+        indices_by_effector.setdefault(effector_key, []).append(i)
+    pairs = [
+        pair
+        for group in indices_by_effector.values()
+        for pair in combinations(group, 2)
+    ]
     for first_index, second_index in sorted(pairs)[:MAX_COMPARED_PAIRS]:
         first, second = goals[first_index], goals[second_index]
         shared_kinds = [
@@ -172,7 +176,7 @@ def idle_holds(subject: TargetsSubject) -> Iterator[Fault]:
 # Tolerance of a chain's reach, for rounding and for limits with a tolerance [1].
 REACH_TOLERANCE = 1e-3
 # If all points are farther from the root joint than this many rig sizes, they are in
-# another unit if that puts them within LIKELY sizes [1].
+# another unit if that puts them within the second number [1].
 MIN_FAR_SIZES, MAX_LIKELY_SIZES = 8.0, 2.0
 
 

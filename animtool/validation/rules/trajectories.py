@@ -93,14 +93,15 @@ def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
     """Report markers with spikes of a few frames (MKR202)."""
     spikes = find_spikes(subject.markers)
     if spikes:
-        largest = max(spikes, key=lambda spike: spike.size)
+        largest_spike = max(spikes, key=lambda spike: spike.size)
         # Frame numbers of the file.
-        frame = int(subject.markers.clock.start) + largest.first
-        names = list(dict.fromkeys(spike.marker for spike in spikes))
+        frame = int(subject.markers.clock.start) + largest_spike.first
+        marker_names = list(dict.fromkeys(spike.marker for spike in spikes))
         message = (
             f"{counted(len(spikes), 'spike')} of "
-            f"{listed(names, MAX_LISTED_MARKERS)}; the largest, "
-            f"{1000 * largest.size:.3g} mm, of {largest.marker} at frame {frame}"
+            f"{listed(marker_names, MAX_LISTED_MARKERS)}; the largest, "
+            f"{1000 * largest_spike.size:.3g} mm, of {largest_spike.marker} at frame "
+            f"{frame}"
         )
         hint = "animtool mocap fill removes them"
         yield replace(subject.fault("MKR202", message, hint), frame=float(frame))
@@ -177,8 +178,10 @@ def coincident_markers(subject: MarkersSubject) -> Iterator[Fault]:
     is_same = (near_counts > MIN_SAME_FRACTION * shared_counts) & (shared_counts > 0)
     pairs = np.argwhere(np.triu(is_same, 1))
     if len(pairs):
-        names = [markers.names[i] for i in labelled_indices]
-        pair_names = [f"{names[i]} and {names[k]}" for i, k in pairs.tolist()]
+        labelled_names = [markers.names[i] for i in labelled_indices]
+        pair_names = [
+            f"{labelled_names[i]} and {labelled_names[k]}" for i, k in pairs.tolist()
+        ]
         pairs_text = listed(pair_names, MAX_LISTED_MARKERS)
         hint = "remove one of them, or label them again"
         message = f"markers at the same position: {pairs_text}"
@@ -189,12 +192,12 @@ def invisible_markers(subject: MarkersSubject) -> Iterator[Fault]:
     """Report markers without any frame (MKR206)."""
     markers = subject.markers
     visible_counts = markers.visible.sum(axis=0).tolist()
-    never_visible = [
+    invisible_names = [
         name
         for name, count in zip(markers.names, visible_counts, strict=True)
         if not count and not name.startswith("*")
     ]
-    if never_visible:
-        names_text = listed(never_visible, MAX_LISTED_MARKERS)
+    if invisible_names:
+        names_text = listed(invisible_names, MAX_LISTED_MARKERS)
         message = f"markers that no frame has: {names_text}"
         yield subject.fault("MKR206", message, "remove them")

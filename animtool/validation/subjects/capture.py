@@ -45,16 +45,16 @@ class TakeSubject:
     @cached_property
     def _line_of_joint(self) -> dict[str, int]:
         """Line that declares each joint, by name; generated names have none."""
-        lines: dict[str, int] = {}
+        line_by_joint: dict[str, int] = {}
         raw_file = open_input(self.path, None)
         with TextIOWrapper(BufferedReader(raw_file), "utf-8", "replace") as file:
-            for number, line in enumerate(file, 1):
+            for line_number, line in enumerate(file, 1):
                 keyword, _, name = line.strip().partition(" ")
                 if keyword.upper() == "MOTION":
                     break
                 if keyword.upper() in {"ROOT", "JOINT"}:
-                    lines.setdefault(name.strip(), number)
-        return lines
+                    line_by_joint.setdefault(name.strip(), line_number)
+        return line_by_joint
 
 
 def open_bvh(path: Path) -> CheckedFile:

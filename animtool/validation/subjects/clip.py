@@ -74,11 +74,11 @@ class ClipSubject(DocumentSubject):
                     is_cut |= (frames[:-1] < key_frame) & (key_frame <= frames[1:])
         return is_cut
 
-    def previous_key(self, channel: int, frame: float) -> Location:
+    def previous_key(self, channel_index: int, frame: float) -> Location:
         """Return the last key of a channel up to a frame, else the first key."""
-        times = self.clip.channels[channel].times
+        times = self.clip.channels[channel_index].times
         k = max(int(np.searchsorted(times, frame, "right")) - 1, 0)
-        return ("channels", channel, "keys", k)
+        return ("channels", channel_index, "keys", k)
 
 
 def open_clip_document(document: Document) -> CheckedFile:

@@ -104,25 +104,28 @@ def _trim_to_keys(
     A clip with roughly one key per frame is sampled at its keys.
     """
     take, clock = subject.take, subject.take.clock
-    seconds = key_times(animation)
-    codes = key_times_in_frames(seconds, frames)
-    rounded_codes = np.round(codes)
-    is_near = np.abs(codes - rounded_codes) <= FRAME_TOLERANCE
-    codes = np.where(is_near, rounded_codes, codes)
+    key_seconds = key_times(animation)
+    key_codes = key_times_in_frames(key_seconds, frames)
+    rounded_codes = np.round(key_codes)
+    is_near = np.abs(key_codes - rounded_codes) <= FRAME_TOLERANCE
+    key_codes = np.where(is_near, rounded_codes, key_codes)
     frame_range = (float(min(clock.start, frames.start)), float(clock.times[-1]))
-    if len(codes) > 1 and abs(np.median(np.diff(codes)) - 1.0) <= MAX_SPACING_ERROR:
-        if len(codes) == len(clock.times) and (codes == clock.times).all():
+    if (
+        len(key_codes) > 1
+        and abs(np.median(np.diff(key_codes)) - 1.0) <= MAX_SPACING_ERROR
+    ):
+        if len(key_codes) == len(clock.times) and (key_codes == clock.times).all():
             return subject
-        motion = sampler.sample(frames.seconds(codes))
+        motion = sampler.sample(frames.seconds(key_codes))
     else:
-        first_frame = int(np.searchsorted(clock.times, codes[0]))
+        first_frame = int(np.searchsorted(clock.times, key_codes[0]))
         if not 0 < first_frame < clock.count:
             return subject
-        codes = clock.times[first_frame:]
+        key_codes = clock.times[first_frame:]
         motion = take.motion.select(slice(first_frame, None))
-    clock = replace(clock, start=Fraction(codes[0]), count=len(codes))
+    clock = replace(clock, start=Fraction(key_codes[0]), count=len(key_codes))
     take = replace(take, motion=motion, clock=clock, curve=None)
-    return replace(subject, take=take, time_codes=codes, frame_range=frame_range)
+    return replace(subject, take=take, time_codes=key_codes, frame_range=frame_range)
 
 
 def clip_subject(path: Path, rig: Rig, take: Take, where: str) -> MotionSubject:
@@ -143,13 +146,15 @@ def _influencing_joints(rig: Rig, skins: Sequence[Skin]) -> frozenset[str]:
 
     Ancestors of joints that influence points influence them, too.
     """
-    names = set(rig.names) - {name for skin in skins for name in skin.joints}
+    influencing_names = set(rig.names) - {
+        name for skin in skins for name in skin.joints
+    }
     for skin in skins:
-        used_joints = np.unique(skin.indices.load()[skin.weights.load() > 0])
-        for joint in used_joints.astype(int).tolist():
+        used_skin_joints = np.unique(skin.indices.load()[skin.weights.load() > 0])
+        for joint in used_skin_joints.astype(int).tolist():
             joints = rig.upwards(rig.index(skin.joints[joint]))
-            names.update(rig.names[ancestor] for ancestor in joints)
-    return frozenset(names)
+            influencing_names.update(rig.names[ancestor] for ancestor in joints)
+    return frozenset(influencing_names)
 
 
 def _bind_positions(rig: Rig, skins: Sequence[Skin]) -> FloatArray | None:

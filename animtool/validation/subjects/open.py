@@ -136,7 +136,7 @@ INPUT_SUFFIXES = (
     *(suffix for suffix, reader in READERS.items() if reader in _SEARCHED_READERS),
     *DOCUMENT_SUFFIXES,
 )
-_OPENERS = {
+_OPENER_BY_KIND = {
     Kind.BATCH: "animtool.validation.subjects.open:open_batch",
     Kind.RIG: "animtool.validation.subjects.rig:open_rig",
     Kind.CLIP: "animtool.validation.subjects.clip:open_clip_document",
@@ -210,7 +210,7 @@ def open_document(document: Document, values: SceneValues | None = None) -> Chec
 
 
 def _call_opener(kind: Kind, *arguments: object) -> CheckedFile:
-    opener = cast(Callable[..., CheckedFile], load_object(_OPENERS[kind]))
+    opener = cast(Callable[..., CheckedFile], load_object(_OPENER_BY_KIND[kind]))
     try:
         return opener(*arguments)
     except AnimtoolError as error:

@@ -50,12 +50,12 @@ class SceneSubject(DocumentSubject):
     def sampled_targets(self) -> list[tuple[Take, TargetTracks]]:
         """Takes of IK passes, with their rigs and sampled targets."""
         folder = self.scene.path.resolve().parent
-        takes = []
+        takes_and_tracks = []
         for pass_index, input_take in self.ik_input_takes.items():
             options = self.scene.passes[pass_index].options
             take, tracks = rig_and_tracks(input_take, options, folder)
-            takes.append((take, tracks.at_clock(take.clock)))
-        return takes
+            takes_and_tracks.append((take, tracks.at_clock(take.clock)))
+        return takes_and_tracks
 
     @property
     def targets(self) -> set[str]:
@@ -137,11 +137,11 @@ def _system_faults(scene: Scene, take: Take | None) -> list[Fault]:
     except AnimtoolError as error:
         return list(error.faults)
     # A start that looks like a frame is reported where it is written.
-    reported = [notice.where or "" for notice in scene.notices]
+    reported_locations = [notice.where or "" for notice in scene.notices]
     notices = run.notices + [
         notice
         for notice in (run.late_start_notices(seconds) if seconds else ())
-        if not any(where.startswith(notice.where or "") for where in reported)
+        if not any(where.startswith(notice.where or "") for where in reported_locations)
     ]
     # Notes are about how it will be simulated.
     return [notice for notice in notices if notice.severity is not Severity.NOTE]
@@ -153,23 +153,25 @@ def _simulated_seconds(scene: Scene, take: Take | None) -> float:
         return float(take.clock.duration)
     from animtool.scene.scene import DEFAULT_FPS
 
-    frames = scene.bake.frame_range
-    if frames is None:
+    frame_range = scene.bake.frame_range
+    if frame_range is None:
         return 0.0
-    return float((frames.last - frames.first) / (scene.bake.fps or DEFAULT_FPS))
+    return float(
+        (frame_range.last - frame_range.first) / (scene.bake.fps or DEFAULT_FPS)
+    )
 
 
 def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fault]]:
     """Run the passes of a scene; return its subject and the notices of the passes."""
     idle_passes: list[int] = []
-    solved_takes: dict[int, Take] = {}
+    ik_input_takes: dict[int, Take] = {}
     with recorded_inputs() as inputs:
         steps = scene.steps()
         take, stream = next(steps)
         for i, step in enumerate(steps):
             new_take, stream = step
             if isinstance(scene.passes[i].options, IkPassOptions):
-                solved_takes[i] = take
+                ik_input_takes[i] = take
             if _is_unchanged(take, new_take):
                 idle_passes.append(i)
             take = new_take
@@ -180,7 +182,7 @@ def _run_passes(document: Document, scene: Scene) -> tuple[SceneSubject, list[Fa
         stream.start,
         bool(stream.control_curves),
         tuple(idle_passes),
-        solved_takes,
+        ik_input_takes,
         frozenset(inputs.opened_paths),
     )
     return subject, stream.notices

@@ -51,7 +51,7 @@ def main(source: str, runs: str, output: str) -> None:
         parted[0] = 0
         for k in range(count * STEPS):
             state = fluid.step(state, k * step, step).state
-            parted[0] += state.parts
+            parted[0] += state.substep_count
             if k % STEPS == STEPS - 1:
                 shown.append(state.motion[0])
 

@@ -632,6 +632,6 @@ def test_parts_are_doubled_beyond_the_density_that_is_allowed(
     assert len(asked) == len(found)
     sound, parts = asked[0]
     assert asked == [(sound * 2**k, parts * 2**k) for k in range(len(found))]
-    assert (after.sound, after.parts) == asked[doublings]
+    assert (after.sound, after.substep_count) == asked[doublings]
     assert after.compression == found[doublings]
     assert [fault.code for fault in notices] == codes

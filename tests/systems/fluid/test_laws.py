@@ -206,10 +206,10 @@ def test_what_is_denser_than_asked_for_is_told_and_collapses_in_the_end(
         return
     after, notices = pressed(own, monkeypatch, dense)
     assert [notice.code for notice in notices] == ([code] if code else [])
-    assert after.compression == after.densest == dense
-    begin = replace(own.initial_state(), densest=0.5)
+    assert after.compression == after.max_compression == dense
+    begin = replace(own.initial_state(), max_compression=0.5)
     later, _ = own._solve_pressure(begin, 0.0, 0.01, np.zeros((3, 3)), notices)
-    assert (later.densest, later.compression) == (0.5, dense)
+    assert (later.max_compression, later.compression) == (0.5, dense)
 
 
 def test_a_step_that_takes_too_many_parts_is_told_with_one_that_does_not(
@@ -261,7 +261,9 @@ def test_sheets_are_looked_at_before_they_moved_half_a_spacing() -> None:
 
 
 def state_of(own: Fluid) -> FluidState:
-    return replace(own.initial_state(), pressures=np.array([5.0, 9, 7]), parts=3)
+    return replace(
+        own.initial_state(), pressures=np.array([5.0, 9, 7]), substep_count=3
+    )
 
 
 def test_what_is_told_and_shown_of_a_state() -> None:

@@ -242,7 +242,7 @@ def test_a_step_has_parts_in_which_bodies_swing_by_half_a_radian(
     """Who only spins asks for as many as there may be at most."""
     rates = np.array(swings), np.array(spins)
     own: Any = SimpleNamespace(
-        _rates=lambda *_: rates, _body_label=lambda k: f"body {k}"
+        _oscillation_and_spin_rates=lambda *_: rates, _body_label=lambda k: f"body {k}"
     )
     assert (
         StepForceSolver.required_substep_count(own, 1.0, dt, np.zeros((2, 14))) == parts

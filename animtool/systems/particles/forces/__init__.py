@@ -1,4 +1,4 @@
-"""Forces on particles: one module per subject, and the table of names."""
+"""Forces on particles: one module per topic, and the table of names."""
 
 from animtool.systems.particles.forces.table import FORCES, find_force
 

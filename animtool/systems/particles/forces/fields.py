@@ -69,10 +69,12 @@ class Turbulence(Force):
         noise = np.zeros_like(x)
         for octave in range(self.octaves):
             frequency = 2.0**octave
-            lattice = x * (frequency / self.size)
+            lattice_points = x * (frequency / self.size)
             times = np.broadcast_to(np.asarray(t, np.float64), len(x)) * self.change
             seed = (self.seed + octave) % 2**64
-            noise += _kernels.curl_noise(lattice, times * frequency, seed) / frequency
+            noise += (
+                _kernels.curl_noise(lattice_points, times * frequency, seed) / frequency
+            )
         return noise * (self.strength * particles.masses[:, None])
 
     def jacobians(
@@ -103,9 +105,9 @@ class Electromagnetic(Force):
 
     def turning(self, particles: ParticleState) -> float:
         """Return the largest rate at which the force rotates velocities [rad/s]."""
-        field = float(np.linalg.norm(self.magnetic))
+        flux_density = float(np.linalg.norm(self.magnetic))
         charges_per_mass = np.abs(particles.charges) / particles.masses
-        return field * float(charges_per_mass.max(initial=0.0))
+        return flux_density * float(charges_per_mass.max(initial=0.0))
 
 
 # Number of particles processed at once, to limit memory.

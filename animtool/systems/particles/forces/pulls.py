@@ -119,8 +119,8 @@ class Spring(Force):
         if self.rest == 0 and self.kd == 0:
             return -self.k * offsets
         directions, length = unit_vectors(offsets)
-        rate = (v * directions).sum(axis=1)[:, None]
-        tension = self.k * (length - self.rest) + self.kd * rate
+        elongation_rate = (v * directions).sum(axis=1)[:, None]
+        tension = self.k * (length - self.rest) + self.kd * elongation_rate
         return np.asarray(-tension * directions)
 
     def jacobians(
@@ -133,11 +133,13 @@ class Spring(Force):
         if self.rest == 0 and self.kd == 0:
             return stiffness, np.zeros_like(stiffness)
         directions, length = unit_vectors(offsets)
-        outer = directions[:, :, None] * directions[:, None]
+        outer_products = directions[:, :, None] * directions[:, None]
         length_ratio = np.zeros_like(length)
         np.divide(self.rest, length, out=length_ratio, where=length > 0)
-        by_position = stiffness + self.k * length_ratio[:, :, None] * (identity - outer)
-        return by_position, -self.kd * outer
+        by_position = stiffness + self.k * length_ratio[:, :, None] * (
+            identity - outer_products
+        )
+        return by_position, -self.kd * outer_products
 
     def _anchors(self, particles: ParticleState) -> FloatArray:
         """Return the anchor of each particle ``(N, 3)``, or of all ``(3,)`` [m]."""
