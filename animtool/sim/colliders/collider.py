@@ -162,6 +162,8 @@ class Collider(Contact, CheckedRecord):
 
     def end_poses(self, times: FloatArray) -> FloatArray:
         """Return poses at both ends of the steps between times [s] ``(K, 2, 7)``."""
+        if self.poses.is_fixed:
+            return np.broadcast_to(self.poses.rows, (len(times) - 1, 2, 7))
         key_times, poses = self.poses.sample_times, self.poses.at_times(times)
         if not self.teleports.any():
             return np.stack([poses[:-1], poses[1:]], axis=1)

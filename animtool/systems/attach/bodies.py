@@ -119,17 +119,18 @@ def max_pin_hops(network: MassSpringNetwork) -> int:
     >>> max_pin_hops(MassSpringNetwork(np.eye(3), np.array([0]), line))
     2
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import dijkstra
-
-    count, starts = network.count, network.pinned if len(network.pinned) else [0]
-    graph = coo_array(
-        (np.ones(len(network.structural)), network.structural.T), (count, count)
-    )
-    hops = dijkstra(
-        graph, directed=False, indices=starts, unweighted=True, min_only=True
-    )
-    return int(hops[np.isfinite(hops)].max(initial=0.0))
+    is_reached = np.zeros(network.count, np.bool_)
+    is_reached[network.pinned if len(network.pinned) else [0]] = True
+    first, second = network.structural.T
+    hops = 0
+    while True:
+        is_next = is_reached[first] != is_reached[second]
+        if not is_next.any():
+            return hops
+        is_reached[first[is_next]] = is_reached[second[is_next]] = True
+        is_open = ~(is_reached[first] & is_reached[second])
+        first, second = first[is_open], second[is_open]
+        hops += 1
 
 
 def coincident_link_count(network: MassSpringNetwork, points: FloatArray) -> int:

@@ -328,9 +328,15 @@ def connected_groups(count: int, pairs: IntArray) -> IntArray:
     >>> connected_groups(4, np.array([[0, 2], [1, 3]])).tolist()
     [0, 1, 0, 1]
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    graph = coo_array((np.ones(len(pairs)), pairs.T), (count, count))
-    groups: IntArray = connected_components(graph, directed=False)[1]
-    return groups.astype(np.int64)
+    first, second = np.asarray(pairs, np.int64).reshape(-1, 2).T
+    smallest = np.arange(count)  # smallest point known to be connected
+    while True:
+        least = np.minimum(smallest[first], smallest[second])
+        merged = smallest.copy()
+        for ends in (first, second):
+            np.minimum.at(merged, ends, least)
+            np.minimum.at(merged, smallest[ends], least)
+        merged = merged[merged]
+        if (merged == smallest).all():
+            return np.unique(smallest, return_inverse=True)[1].reshape(-1)
+        smallest = merged
