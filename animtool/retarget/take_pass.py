@@ -452,7 +452,7 @@ def _run_pass(stream: TakeStream, options: Any, context: PassContext) -> TakeStr
         source,
         rig=rig,
         blocks=_with_fit_report(retargeting, blocks, context),
-        unread_meshes=(),
+        unread_meshes=None,
     )
     if passthrough is None:
         return retargeted_stream

@@ -220,7 +220,7 @@ def _retarget(
     solved_stream = replace(
         stream,
         rig=rig,
-        unread_meshes=(),
+        unread_meshes=None,
         blocks=timed_items(blocks, seconds, "solve"),
         notices=notices,
         curve=None,
