@@ -16,6 +16,7 @@ from animtool.ik.chain import (
     apply_steps,
     joint_steps,
     unwrap_angles,
+    with_geared_limits,
     with_periods,
 )
 from animtool.ik.goals import Targets, by_unit, targets_of_frames
@@ -342,7 +343,7 @@ def best_path(
     )
     path_indices = _kernels.cheapest_ik_path(
         chain.nodes,
-        with_periods(chain),
+        with_geared_limits(chain),
         paths,
         costs,
         reference_steps,
