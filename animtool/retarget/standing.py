@@ -391,8 +391,7 @@ def with_source_warnings(
                 if codes.isdisjoint({"USD126", "RIG217"}):
                     unit_notices = unit_warnings(stream.rig, file_format)
                     add_notices(replace(n, path=str(path)) for n in unit_notices)
-            # A root whose channels are swapped has no orientation to check.
-            is_swapped = any(notice.code == "BVH115" for notice in stream.notices)
+            is_swapped = has_swapped_channels(stream.notices)
             if i == 0 and not is_swapped:
                 settings = (severity, up, str(file_format))
                 add_notices(lying_body_notices(path, stream.rig, block, *settings))
@@ -409,6 +408,11 @@ def with_source_warnings(
         add_notices(fault.in_file(path) for fault in ground_check.notices(reported))
 
     return replace(stream, blocks=blocks())
+
+
+def has_swapped_channels(notices: Iterable[Fault]) -> bool:
+    """Return whether channels look swapped, so that no orientation can be checked."""
+    return any(notice.code in {"BVH115", "BVH117"} for notice in notices)
 
 
 def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:

@@ -64,6 +64,7 @@ from animtool.retarget.root_position import root_warning
 from animtool.retarget.standing import (
     UP_AXIS_HINTS,
     find_standing_axis,
+    has_swapped_channels,
     unit_warnings,
 )
 from animtool.retarget.swapped_legs import swapped_legs_warning
@@ -210,7 +211,7 @@ def retarget_stream(
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
     stance_axis = find_standing_axis(source, first_block, joint_map.source.roles)
-    is_swapped = any(notice.code == "BVH115" for notice in stream.notices)
+    is_swapped = has_swapped_channels(stream.notices)
     if is_swapped:
         stance_axis = None
     if stance_axis is not None and stream.details.get("up_choice") == "stated":
