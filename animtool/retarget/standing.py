@@ -28,7 +28,7 @@ from animtool.retarget.implausible_motion import (
     fast_motion_warning,
 )
 from animtool.retarget.root_position import root_warning
-from animtool.retarget.swapped_legs import swapped_legs_warning
+from animtool.retarget.swapped_sides import swapped_sides_warning
 from animtool.rig.body_size import fitting_unit, size_warning_texts
 from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
@@ -399,7 +399,7 @@ def with_source_warnings(
                 known_codes = {notice.code for notice in stream.notices}
                 for problem in (
                     root_warning(stream.rig, block, float(1 / rate)),
-                    swapped_legs_warning(stream.rig, block, str(file_format)),
+                    swapped_sides_warning(stream.rig, block, str(file_format)),
                 ):
                     if problem is not None and problem.code not in known_codes:
                         add_notices([problem.in_file(path)])

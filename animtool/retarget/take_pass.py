@@ -67,7 +67,7 @@ from animtool.retarget.standing import (
     has_swapped_channels,
     unit_warnings,
 )
-from animtool.retarget.swapped_legs import swapped_legs_warning
+from animtool.retarget.swapped_sides import swapped_sides_warning
 from animtool.retarget.transfer import Transfer
 from animtool.retarget.verdict import is_likely_scale
 from animtool.rig.kinematics import forward_kinematics
@@ -415,7 +415,7 @@ def _source_warnings(stream: TakeStream, first_block: Motion) -> list[Fault]:
     rate, file_format = stream.fps / stream.step, stream.details.get("format")
     notices = (
         root_warning(stream.rig, first_block, float(1 / rate)),
-        swapped_legs_warning(stream.rig, first_block, str(file_format)),
+        swapped_sides_warning(stream.rig, first_block, str(file_format)),
     )
     fast_motion = []
     if file_format in CAPTURE_FORMATS:
