@@ -32,7 +32,8 @@ from animtool.motion.motion import Channel
 from animtool.motion.passes import FrameScope, OptionChecks, Pass, PassContext, TakePart
 from animtool.motion.scores import PassScores, Score, ScoreUnit
 from animtool.motion.take import Take
-from animtool.rig.kinematics import rest_size
+from animtool.rig.kinematics import rest_size, rest_world
+from animtool.rig.skeleton import Rig
 
 # Minimum size of a spike, relative to the typical change of speed around it.
 SPIKE_ROUGHNESS_RATIO = 5.0
@@ -55,7 +56,7 @@ MOTION_NOISE_RATIO = 5.0
 # A walk filtered at 1 Hz moves its feet by less; a step or a swing of an arm that is
 # filtered away moves them by more [size of the rig].
 MAX_DISPLACEMENT = 0.15
-# The largest change by noise alone is at most this multiple of its median [1].
+# The largest change by noise alone is at most this multiple of its deviation [1].
 DISPLACEMENT_NOISE_RATIO = 20.0
 # Frames compared at once.
 COMPARED_FRAMES = 1024
@@ -347,31 +348,26 @@ def _displacement_warning(
 ) -> list[Fault]:
     """Return a warning if a cut-off moves a joint far (CAP106).
 
-    Positions are compared with those that the cut-offs for the noise alone leave, and
-    must differ by more than these from the take.
+    Frames with spikes are not compared; others must differ by more than the noise.
     """
-    reference_take, _ = clean_take(take, replace(options, cutoff=None))
-    max_distance, max_joint, max_frame, noise_distance = 0.0, 0, 0, 0.0
-    frame_count = len(take)
+    is_compared = np.ones(len(take), np.bool_)
+    for signal in signals:
+        is_compared[list(signal.spikes)] = False
+    compared_frames = np.flatnonzero(is_compared)
+    max_distance, max_joint, max_frame = 0.0, 0, 0
     for frames in np.array_split(
-        np.arange(frame_count), max(1, frame_count // COMPARED_FRAMES)
+        compared_frames, max(1, len(compared_frames) // COMPARED_FRAMES)
     ):
-        positions, reference_positions, cleaned_positions = (
-            compared_take.motion.select(frames).world(take.rig).positions
-            for compared_take in (take, reference_take, cleaned_take)
+        positions, cleaned_positions = (
+            one.motion.select(frames).world(take.rig).positions
+            for one in (take, cleaned_take)
         )
-        distances = np.linalg.norm(cleaned_positions - reference_positions, axis=-1)
-        noise_distances = np.linalg.norm(positions - reference_positions, axis=-1)
-        if not distances.size:
-            continue
-        # Spikes are in few frames.
-        frame_distances = noise_distances.max(axis=1)
-        noise_distance = max(noise_distance, float(np.median(frame_distances)))
-        if distances.max() > max_distance:
+        distances = np.linalg.norm(cleaned_positions - positions, axis=-1)
+        if distances.size and distances.max() > max_distance:
             i, joint = np.unravel_index(distances.argmax(), distances.shape)
             max_distance, max_joint = float(distances.max()), int(joint)
             max_frame = int(frames[i])
-    min_distance = DISPLACEMENT_NOISE_RATIO * noise_distance
+    min_distance = DISPLACEMENT_NOISE_RATIO * _noise_displacement(take.rig, signals)
     if max_distance <= max(MAX_DISPLACEMENT * rest_size(take.rig), min_distance):
         return []
     time_code = float(take.clock.start + max_frame * take.clock.step)
@@ -384,6 +380,25 @@ def _displacement_warning(
         message += f", although the noise of positions is {length_text(noise)}"
     hint = _cutoff_hint(options, float(take.clock.rate))
     return [warning("CAP106", message, hint)]
+
+
+def _noise_displacement(rig: Rig, signals: list[CleanedSignal]) -> float:
+    """Return how far the noise of all joints displaces the farthest one at rest [m]."""
+    positions = rest_world(rig).positions[0]
+    translation_noises, rotation_noises = np.zeros((2, len(positions)))
+    for signal in signals:
+        noises = rotation_noises if signal.is_rotation else translation_noises
+        noises[rig.index(signal.joint)] = signal.noise
+    displacements = [0.0]
+    for joint in range(len(positions)):
+        chain = rig.upwards(joint)
+        # Noise has three axes; a rotation about the direction of a joint does not
+        # move it.
+        distances = np.linalg.norm(positions[joint] - positions[chain], axis=-1)
+        lever_noise = math.sqrt(2) * distances * rotation_noises[chain]
+        chain_noise = math.sqrt(3) * translation_noises[chain]
+        displacements.append(float(np.linalg.norm([lever_noise, chain_noise])))
+    return max(displacements)
 
 
 def _most_changed_signal(signals: list[CleanedSignal]) -> CleanedSignal | None:

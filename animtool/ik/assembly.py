@@ -54,7 +54,7 @@ class _ChainBuilder:
         self.rig = rig
         self.slices = coordinate_slices(rig)
         self.ranges = coordinate_ranges(rig)
-        self.followed_joints = _followed_joints(rig)
+        self.followed_joints, self.geared_joints = _followed_joints(rig)
         self.nodes: list[list[int]] = []
         self.rest_matrices: list[FloatArray] = []
         self.offsets: list[FloatArray] = []
@@ -63,6 +63,7 @@ class _ChainBuilder:
         self.rig_columns: list[int] = []
         self.is_length: list[bool] = []
         self.periods: list[tuple[float, float]] = []
+        self.is_geared: list[bool] = []
         self.ball_rotations: list[tuple[int, FloatArray]] = []
         self.leader_column_by_joint: dict[int, int] = {}
         self.ball_column_by_joint: dict[int, int] = {}
@@ -119,6 +120,7 @@ class _ChainBuilder:
         self.rig_columns.append(column)
         self.is_length.append(True)
         self.periods.append(UNLIMITED)
+        self.is_geared.append(False)
         rotation = _rotation_from_z(axis)
         return self._add_node(SLIDE, frame, rotation, len(self.rig_columns) - 1)
 
@@ -156,6 +158,7 @@ class _ChainBuilder:
         is_unlimited = is_full and is_periodic
         has_period = is_unlimited and math.isfinite(high - low)
         self.periods.append((low, high) if has_period else UNLIMITED)
+        self.is_geared.append(not is_length and leader in self.geared_joints)
         limit = (*(UNLIMITED if is_unlimited else (low, high)), 0.0, 0.0)
         return self._add_node(
             kind, frame, rotation, column, gain=(gain, shift), limit=limit
@@ -177,6 +180,7 @@ class _ChainBuilder:
         self.rig_columns += range(column, column + 4)
         self.is_length += [False] * 4
         self.periods += [UNLIMITED] * 4
+        self.is_geared += [False] * 4
         self.ball_rotations.append((first_column, so3.conjugate(rotation)))
         return self._add_node(BALL, frame, rotation, first_column, limit=limit)
 
@@ -188,14 +192,23 @@ def _rotation_from_z(axis: FloatArray) -> FloatArray:
     return so3.normalize(np.array([-axis[1], axis[0], 0.0, 1 + axis[2]]))
 
 
-def _followed_joints(rig: Rig) -> set[int]:
-    """Return the joints that mimic or driven joints follow."""
-    source_names = {
-        joint.mimic.joint for joint in rig.joints if joint.mimic is not None
-    }
+def _followed_joints(rig: Rig) -> tuple[set[int], set[int]]:
+    """Return the joints that others follow, and those whose revolution moves them.
+
+    A whole gain gives the same pose after a revolution; drivers and slides need not.
+    """
+    followed, geared = set[int](), set[int]()
+    for j, joint in enumerate(rig.joints):
+        if joint.mimic is not None:
+            leader, gain, _ = leader_of(rig, j)
+            followed.add(leader)
+            if joint.type is not JointType.PIN or not float(gain).is_integer():
+                geared.add(leader)
     if rig.is_driven:
-        source_names.update(*plan_of(rig).joints_read.values())
-    return {leader_of(rig, rig.index(name))[0] for name in source_names}
+        read = set[str]().union(*plan_of(rig).joints_read.values())
+        leaders = {leader_of(rig, rig.index(name))[0] for name in read}
+        return followed | leaders, geared | leaders
+    return followed, geared
 
 
 def assemble_chain(
@@ -301,6 +314,7 @@ def _build_chain(
         np.array(builder.rig_columns, np.int64),
         scales,
         np.array(builder.periods, np.float64),
+        np.array(builder.is_geared, np.bool_),
         tuple(builder.ball_rotations),
         sum(
             3 if kind == BALL else 1

@@ -16,13 +16,14 @@ from animtool.ik.chain import (
     apply_steps,
     joint_steps,
     unwrap_angles,
+    with_geared_limits,
     with_periods,
 )
 from animtool.ik.goals import Targets, by_unit, targets_of_frames
 from animtool.ik.options import IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
-from animtool.ik.solving import solve
+from animtool.ik.solving import solve_in_frame
 
 # Cost of a frame that misses its goals, in squared radians: more than any jump.
 MISS_COST = 1e4
@@ -104,7 +105,9 @@ class Interval:
         """Return the IK solutions of the given frames from their starts."""
         targets = targets_of_frames(self.targets, frames)
         preferred_rows = self.preferred_poses[frames]
-        return solve(self.problem, starts, targets, options, prefer=preferred_rows)
+        return solve_in_frame(
+            self.problem, starts, targets, options, prefer=preferred_rows
+        )
 
     def _rig_rows(self, poses: FloatArray) -> FloatArray:
         """Return chain poses as rig coordinates ``(B, Q)``; other joints are 0."""
@@ -340,7 +343,7 @@ def best_path(
     )
     path_indices = _kernels.cheapest_ik_path(
         chain.nodes,
-        with_periods(chain),
+        with_geared_limits(chain),
         paths,
         costs,
         reference_steps,

@@ -16,6 +16,8 @@ PIN, SLIDE, BALL = 0, 1, 2
 REVOLUTION_TOLERANCE = 1e-6
 # A limit range exceeding a full revolution by at most this counts as one [rad].
 REVOLUTION_EXCESS = 0.02
+# Beyond the angle of any pin [rad].
+MAX_ANGLE = 1e9
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,8 @@ class Chain:
     scales: FloatArray  # divisor of each chain coordinate ``(C,)``
     # Limits of each coordinate that covers a full revolution, else infinite ``(C, 2)``.
     periods: FloatArray
+    # Mask of the pins whose revolution moves a joint that follows them ``(C,)``.
+    is_geared: BoolArray
     # ``(first column of a ball, ball_from_joint quaternion)``.
     ball_rotations: tuple[tuple[int, FloatArray], ...]
     degrees: int  # degrees of freedom
@@ -162,8 +166,23 @@ def with_periods(chain: Chain) -> FloatArray:
     return node_numbers
 
 
+def with_geared_limits(chain: Chain) -> FloatArray:
+    """Return the chain's ``numbers``, with limits for pins whose revolutions differ.
+
+    Those of geared pins without limits are too wide to matter.
+    """
+    numbers = with_periods(chain)
+    is_pin = (chain.nodes[:, 0] == PIN) & (chain.nodes[:, 3] != FOLLOWS_PROGRAM)
+    geared_rows = np.flatnonzero(is_pin)
+    geared_rows = geared_rows[chain.is_geared[chain.nodes[geared_rows, 2]]]
+    limits = numbers[geared_rows, 14:16]
+    numbers[geared_rows, 14:16] = np.clip(limits, -MAX_ANGLE, MAX_ANGLE)
+    return numbers
+
+
 def _unlimited_pins(chain: Chain) -> BoolArray:
     """Return a mask of the joints that are pins without angle limits."""
     is_independent = chain.nodes[:, 3] == 0
-    is_unlimited = ~np.isfinite(with_periods(chain)[is_independent, 14:16]).any(axis=1)
+    limits = with_geared_limits(chain)[is_independent, 14:16]
+    is_unlimited = ~np.isfinite(limits).any(axis=1)
     return np.asarray((chain.nodes[is_independent, 0] == PIN) & is_unlimited)

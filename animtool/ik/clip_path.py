@@ -25,7 +25,7 @@ from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.path import build_frame_path, find_jumping_frames, with_poses
 from animtool.ik.problem import Problem
 from animtool.ik.result import PER_PROBLEM_ARRAYS, IkResult, IkStatus
-from animtool.ik.solving import pose_rows, solve
+from animtool.ik.solving import pose_rows, solve_in_frame
 
 # A step below this fraction of the jump threshold is smooth: no smoother path is
 # searched.
@@ -115,7 +115,7 @@ class ClipPath:
             self.options.solving, ordered=True, warm=not self.is_motion
         )
         is_per_frame = self.is_motion or not len(starts)
-        return solve(
+        return solve_in_frame(
             self.problem,
             starts[frames] if is_per_frame else starts[frames.start],
             targets_of_frames(self.targets, frames),

@@ -24,6 +24,7 @@ from animtool.ik.nearest import frames_out_of_reach, with_nearest_poses
 from animtool.ik.path import find_clip_jumps, smooth, smoothing_faults
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
+from animtool.ik.solving import check_fixed_joints
 
 # The first searched interval begins this long before a jump [s]; each next one is twice
 # as long.
@@ -94,6 +95,19 @@ def follow(
     >>> bool(result.converged.all()), result.jumps
     (True, ())
     """
+    check_fixed_joints(problem, start)
+    return follow_in_frame(problem, start, targets, options, prefer=prefer)
+
+
+def follow_in_frame(
+    problem: Problem,
+    start: ArrayLike | None,
+    targets: Targets,
+    options: FollowOptions | None = None,
+    *,
+    prefer: ArrayLike | None = None,
+) -> IkResult:
+    """Follow targets relative to the problem's pose, wherever starts have its frame."""
     options = options or FollowOptions()
     _check_options(options)
     clip = ClipPath(problem, start, targets, options, prefer)

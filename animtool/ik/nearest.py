@@ -15,7 +15,7 @@ from animtool.ik.goals import Targets, targets_of_frames
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import PER_PROBLEM_ARRAYS, IkResult, IkStatus
-from animtool.ik.solving import solve
+from animtool.ik.solving import solve_in_frame
 
 # Number of starts from combinations of limits, and as many random poses; a ninth of
 # them for chains with more degrees of freedom than the second number.
@@ -60,7 +60,7 @@ def find_nearest_poses(
     for start in _start_poses(problem, result.coordinates[0], options.seed):
         starts = np.repeat(start[None], len(result.coordinates), axis=0)
         rows = problem.chain.into_rig(starts, result.coordinates)
-        trial_result = solve(
+        trial_result = solve_in_frame(
             problem, rows, targets, trial_options, prefer=preferred_poses
         )
         trial_poses.append(trial_result.coordinates)
@@ -75,7 +75,7 @@ def find_nearest_poses(
             starts = np.array(trial_poses)[best_starts, promising_rows]
             promising_targets = targets_of_frames(targets, promising_rows)
             prefer = preferred_poses[promising_rows]
-            trial_result = solve(
+            trial_result = solve_in_frame(
                 problem, starts, promising_targets, descent_options, prefer=prefer
             )
             trial_costs = miss_costs(trial_result, promising_targets)

@@ -75,6 +75,26 @@ class Problem:
         """Number Q of joint coordinates of the rig."""
         return self.rig.coordinates
 
+    @cached_property
+    def fixed_columns(self) -> IntArray:
+        """Columns of joints that do not move, but would move a goal ``(C,)``.
+
+        Of driven joints, the joints that drive them.
+        """
+        rig = self.rig
+        goals = [replace(goal, root=None) for goal in self.goals]
+        joints = find_moving_joints(rig, goals)
+        if rig.is_driven:
+            joints = joints.difference(plan_of(rig).joints)
+        names, slices = set(self.joints), coordinate_slices(rig)
+        columns = [
+            column
+            for j in sorted(joints)
+            if rig.joints[j].name not in names
+            for column in range(slices[j].start, slices[j].stop)
+        ]
+        return np.array(columns, np.int64)
+
     @property
     def limits(self) -> dict[str, RangeLimit | BallLimit]:
         """Limits by joint name; unlimited joints are left out."""
@@ -251,27 +271,6 @@ def _with_followers(
     leaders = {leader_of(rig, j)[0] for j in moving_joints}
     all_joints = find_moving_joints(rig, [replace(goal, root=None) for goal in goals])
     return moving_joints | {j for j in all_joints if leader_of(rig, j)[0] in leaders}
-
-
-def fixed_columns(problem: Problem) -> IntArray:
-    """Return columns of joints that do not move, but would move a goal ``(C,)``.
-
-    In a rig with drivers, which may read any joint, these are all that are not driven.
-    """
-    rig = problem.rig
-    goals = [replace(goal, root=None) for goal in problem.goals]
-    if rig.is_driven:
-        joints = set(range(len(rig.joints))).difference(plan_of(rig).joints)
-    else:
-        joints = find_moving_joints(rig, goals)
-    moving_names, slices = set(problem.joints), coordinate_slices(rig)
-    columns = [
-        column
-        for j in sorted(joints)
-        if rig.joints[j].name not in moving_names
-        for column in range(slices[j].start, slices[j].stop)
-    ]
-    return np.array(columns, np.int64)
 
 
 def _immovable_faults(

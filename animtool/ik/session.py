@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
-from animtool.core.array_types import ArrayLike, FloatArray, IntArray
+from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, excerpt, listed, refuse
 from animtool.core.names import name_hint
 from animtool.core.record import dataclass
@@ -21,7 +21,7 @@ from animtool.ik.goals import (
     pack,
 )
 from animtool.ik.options import IkOptions
-from animtool.ik.problem import Problem, build, fixed_columns
+from animtool.ik.problem import Problem, build
 from animtool.ik.result import IkResult
 from animtool.ik.rig_solver import ClosedForm, build_solver, closed_form
 from animtool.ik.solving import (
@@ -51,8 +51,6 @@ class _PackedProblem:
     problem: Problem
     solver: _kernels.RigSolver
     has_branches: bool
-    # Columns of joints that do not move, but would move a goal.
-    fixed_columns: IntArray
     targets: FloatArray  # packed target buffer ``(1, E, W)``
     target_views: tuple[FloatArray, ...]  # views into the buffer, one per used part
 
@@ -61,7 +59,7 @@ class _PackedProblem:
 
         An invalid pose fits: the solve refuses it.
         """
-        columns, problem_pose = self.fixed_columns, self.problem.pose
+        columns, problem_pose = self.problem.fixed_columns, self.problem.pose
         if pose is problem_pose or not columns.size or pose.shape != problem_pose.shape:
             return True
         offsets = np.abs(pose.take(columns) - problem_pose.take(columns))
@@ -288,10 +286,7 @@ class Session:
         ]
         solver = build_solver(problem, self.options)
         has_branches = closed_form(problem) is ClosedForm.ARM
-        columns = fixed_columns(problem)
-        return _PackedProblem(
-            problem, solver, has_branches, columns, targets, tuple(views)
-        )
+        return _PackedProblem(problem, solver, has_branches, targets, tuple(views))
 
 
 def _goals_by_name(

@@ -19,6 +19,7 @@ from animtool.ik.result import IkResult, IkStatus
 from animtool.ik.rig_solver import CLOSED_FORM_METHODS, KernelSolution, build_solver
 from animtool.ik.sub_rig import with_mimics
 from animtool.ik.two_bone import incompatibility
+from animtool.rig.joints import coordinate_slices
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
 
@@ -33,6 +34,8 @@ _KERNEL_STATUSES = (
 )
 # Decreasing weights that pull restarted poses towards the start.
 PULL_WEIGHTS = (1e-2, 1e-3, 1e-4, 0.0)
+# Values of joints that do not move may differ by this much [rad], [m].
+FIXED_POSE_TOLERANCE = 1e-6
 # Range of each option in the kernel.
 OPTION_RANGES = {
     "iterations": (1, 2**31 - 1),
@@ -55,7 +58,7 @@ def solve(
     Args:
         problem: E goals over a rig of Q coordinates.
         start: ``(Q,)`` for all, or ``(B, Q)``; None is the problem's pose. Clamped to
-            the limits. Joints that do not move need their values in the problem's pose.
+            the limits. Joints that do not move have their values in the problem's pose.
         targets: Targets of B problems.
         options: Tolerances, budget, seed.
         prefer: Preferred pose ``(Q,)`` or ``(B, Q)``, weighted by the problem's
@@ -66,9 +69,10 @@ def solve(
 
     Raises:
         OptionError: Targets are missing, of another shape (IK010) or not finite
-            (TGT007); a start is of another shape (IK012) or not finite (IK013); an
-            option is invalid (IK014), or the method does not support this problem
-            (IK015).
+            (TGT007); a start is of another shape (IK012), not finite (IK013), or has
+            other values than the problem's pose for joints above the goals that do not
+            move (IK016); an option is invalid (IK014), or the method does not support
+            this problem (IK015).
 
     Limits of the method: for a goal that no descent reached, the best pose found is
     returned, which need not be the global optimum.
@@ -83,6 +87,19 @@ def solve(
     >>> result.statuses[0], bool(result.positions.max() < 2e-6)
     (<IkStatus.CONVERGED: 'converged'>, True)
     """
+    check_fixed_joints(problem, start)
+    return solve_in_frame(problem, start, targets, options, prefer=prefer)
+
+
+def solve_in_frame(
+    problem: Problem,
+    start: ArrayLike | None,
+    targets: Targets,
+    options: IkOptions | None = None,
+    *,
+    prefer: ArrayLike | None = None,
+) -> IkResult:
+    """Solve targets relative to the problem's pose, wherever starts have its frame."""
     options = options or IkOptions()
     raise_faults(option_faults(options))
     check_method(problem, options.method)
@@ -217,6 +234,32 @@ def pose_rows(
     repeated_rows = np.empty((batch_size, coordinate_count))
     repeated_rows[:] = rows
     return repeated_rows
+
+
+def check_fixed_joints(problem: Problem, start: ArrayLike | None) -> None:
+    """Raise if a joint that does not move has another value in a start (IK016).
+
+    A start of another shape or not finite is refused by the solve.
+    """
+    rig, columns = problem.rig, problem.fixed_columns
+    if start is None or not columns.size:
+        return
+    rows = np.atleast_2d(np.asarray(start, np.float64))
+    if rows.shape[-1] != problem.coordinates or not np.isfinite(rows).all():
+        return
+    values, pose = rows.take(columns, axis=-1), problem.pose[columns]
+    offsets = np.abs(values - pose)
+    if offsets.max(initial=0.0) <= FIXED_POSE_TOLERANCE:
+        return
+    row, i = divmod(int(offsets.argmax()), len(columns))
+    slices = coordinate_slices(rig)
+    joint = next(j for j, part in enumerate(slices) if part.stop > columns[i])
+    message = f"{rig.names[joint]!r} does not move, but is {values[row, i]:.6g} in "
+    message += f"start and {pose[i]:.6g} in the pose of the problem"
+    hint = "write build(..., pose=start)"
+    if np.ptp(values, axis=0).max() > FIXED_POSE_TOLERANCE:
+        hint = "solve each start with its own problem, as a Session does"
+    raise OptionError(Fault("IK016", message, hint=hint))
 
 
 def supported_methods(problem: Problem) -> list[IkMethod]:

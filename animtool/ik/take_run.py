@@ -27,7 +27,12 @@ from animtool.ik.path import (
 )
 from animtool.ik.problem import Problem, build, rest_weight_faults
 from animtool.ik.result import IkResult, IkStatus, frames_on_limits
-from animtool.ik.solving import option_faults, pack_for_chain, solve, supported_methods
+from animtool.ik.solving import (
+    option_faults,
+    pack_for_chain,
+    solve_in_frame,
+    supported_methods,
+)
 from animtool.ik.sub_rig import find_mimics
 from animtool.ik.tracks import GoalTrack, TargetTracks
 from animtool.maths import so3
@@ -412,7 +417,7 @@ class TakeSolver:
         start_time = time.perf_counter()
         if options.method in PATH_METHODS and len(np.asarray(targets.positions)) > 1:
             from animtool.ik.clip_path import FollowOptions
-            from animtool.ik.clip_solver import follow
+            from animtool.ik.clip_solver import follow_in_frame
 
             is_searched = restarts is None
             follow_options = FollowOptions(
@@ -421,9 +426,13 @@ class TakeSolver:
                 smooth=options.smooth if is_searched else 0.0,
                 branches=FollowOptions().branches if is_searched else 0,
             )
-            result = follow(problem, starts, targets, follow_options, prefer=prefer)
+            result = follow_in_frame(
+                problem, starts, targets, follow_options, prefer=prefer
+            )
         else:
-            result = solve(problem, starts, targets, frame_options, prefer=prefer)
+            result = solve_in_frame(
+                problem, starts, targets, frame_options, prefer=prefer
+            )
             if options.method in PATH_METHODS and restarts is None:
                 rows = result.coordinates if prefer is None else prefer
                 preferred_rows = np.broadcast_to(rows, result.coordinates.shape)

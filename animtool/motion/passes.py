@@ -376,17 +376,23 @@ def apply_pass(
     kept_curves = _valid_curves(stream, source_take, take, linear_time)
     if not _have_same_channels(source_take.rig, take.rig):
         take = replace(take, curve=None)
-    result = check_tracks(TakeStream.of(take), source_take.tracks, pass_.name)
-    has_no_start = stream.start is None and take.clock.start == Fraction(1)
-    return replace(
-        result,
-        start=None if has_no_start else result.start,
-        notices=stream.notices,
-        details=stream.details,
-        simulated=stream.simulated,
-        scores=stream.scores,
+    clock = take.clock
+    has_no_start = stream.start is None and clock.start == Fraction(1)
+    result = replace(
+        stream,
+        rig=take.rig,
+        fps=clock.fps,
+        start=None if has_no_start else clock.start,
+        step=clock.step,
+        blocks=iter([take.motion]),
+        curve=take.curve,
+        is_altered=True,
+        count=0,
         control_curves=kept_curves,
+        tracks=take.tracks,
+        points=frozenset(take.motion.points),
     )
+    return check_tracks(result, source_take.tracks, pass_.name)
 
 
 def _valid_curves(

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+
 import numpy as np
 
 from animtool.core.array_types import FloatArray
@@ -9,6 +12,7 @@ from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.motion.motion import Motion
+from animtool.motion.take import TakeStream
 from animtool.rig.skeleton import Rig
 
 # With fewer rotating joints, half turns may be intended. Number of sampled frames.
@@ -79,3 +83,21 @@ def order_warning(
     if order is None:
         return []
     return [Fault("MOT222", order.message, path, (), hint, Severity.WARNING)]
+
+
+def with_order_warning(stream: TakeStream, path: str) -> TakeStream:
+    """Return a take made in Python with MOT222 among its notices, if it applies.
+
+    It is determined from the first block. Takes of files are checked as they are read.
+    """
+    if "format" in stream.details:
+        return stream
+
+    def blocks() -> Iterator[Motion]:
+        for i, block in enumerate(stream.blocks):
+            if i == 0:
+                notices = order_warning(stream.rig, block, path, MOTION_ORDER_HINT)
+                stream.notices.extend(notices)
+            yield block
+
+    return replace(stream, blocks=blocks())

@@ -227,7 +227,8 @@ class TakeStream:
             source.
         tracks: Props and cameras, whose times are in the blocks; most takes have none.
         points: Names of the meshes and strands with simulated points.
-        unread_meshes: Names of the skinned meshes of the source that the rig lacks.
+        unread_meshes: Returns the names of the skinned meshes of the source that the
+            rig lacks; None if there are none.
         simulated: Reports of simulations as plain values; complete once the blocks are
             read.
         scores: Scores of passes; complete once the blocks are read.
@@ -248,7 +249,7 @@ class TakeStream:
     control_curves: dict[str, Curves] = field(default_factory=dict)
     tracks: tuple[Track, ...] = ()
     points: frozenset[str] = frozenset()
-    unread_meshes: tuple[str, ...] = ()
+    unread_meshes: Callable[[], tuple[str, ...]] | None = None
     simulated: list[dict[str, object]] = field(default_factory=list)
     scores: list[PassScores] = field(default_factory=list)
     dropped: Callable[[FloatArray], Placement] | None = None

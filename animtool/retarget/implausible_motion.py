@@ -35,7 +35,9 @@ RATE_FACTORS, MIN_CAPTURE_RATE = (2, 3, 4, 5, 8, 10), 15
 # A planted foot moves less than this in this time [size], [s].
 MAX_STATIC_MOVE, STATIC_SECONDS = 0.012, Fraction(1, 10)
 # Warnings that explain another height.
-EXPLAINING_CODES = frozenset({"MAP009", "MOT209", "MOT213", "MOT214", "BVH115"})
+EXPLAINING_CODES = frozenset(
+    {"MAP009", "MOT209", "MOT213", "MOT214", "BVH115", "BVH117"}
+)
 # Sampled pairs of frames of a block, and planted feet that show the ground.
 PAIR_COUNT, MIN_PLANTED_FEET = 32, 8
 # A planted foot is the lowest joint, within this distance [size].

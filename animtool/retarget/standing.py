@@ -28,7 +28,7 @@ from animtool.retarget.implausible_motion import (
     fast_motion_warning,
 )
 from animtool.retarget.root_position import root_warning
-from animtool.retarget.swapped_legs import swapped_legs_warning
+from animtool.retarget.swapped_sides import swapped_sides_warning
 from animtool.rig.body_size import fitting_unit, size_warning_texts
 from animtool.rig.kinematics import forward_kinematics, rest_size, rest_world
 from animtool.rig.skeleton import MAX_RIG_SIZE, Rig
@@ -391,8 +391,7 @@ def with_source_warnings(
                 if codes.isdisjoint({"USD126", "RIG217"}):
                     unit_notices = unit_warnings(stream.rig, file_format)
                     add_notices(replace(n, path=str(path)) for n in unit_notices)
-            # A root whose channels are swapped has no orientation to check.
-            is_swapped = any(notice.code == "BVH115" for notice in stream.notices)
+            is_swapped = has_swapped_channels(stream.notices)
             if i == 0 and not is_swapped:
                 settings = (severity, up, str(file_format))
                 add_notices(lying_body_notices(path, stream.rig, block, *settings))
@@ -400,7 +399,7 @@ def with_source_warnings(
                 known_codes = {notice.code for notice in stream.notices}
                 for problem in (
                     root_warning(stream.rig, block, float(1 / rate)),
-                    swapped_legs_warning(stream.rig, block, str(file_format)),
+                    swapped_sides_warning(stream.rig, block, str(file_format)),
                 ):
                     if problem is not None and problem.code not in known_codes:
                         add_notices([problem.in_file(path)])
@@ -409,6 +408,11 @@ def with_source_warnings(
         add_notices(fault.in_file(path) for fault in ground_check.notices(reported))
 
     return replace(stream, blocks=blocks())
+
+
+def has_swapped_channels(notices: Iterable[Fault]) -> bool:
+    """Return whether channels look swapped, so that no orientation can be checked."""
+    return any(notice.code in {"BVH115", "BVH117"} for notice in notices)
 
 
 def _size_warning(path: Path, rig: Rig, unit: LengthUnit) -> list[Fault]:

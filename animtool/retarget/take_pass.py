@@ -64,9 +64,10 @@ from animtool.retarget.root_position import root_warning
 from animtool.retarget.standing import (
     UP_AXIS_HINTS,
     find_standing_axis,
+    has_swapped_channels,
     unit_warnings,
 )
-from animtool.retarget.swapped_legs import swapped_legs_warning
+from animtool.retarget.swapped_sides import swapped_sides_warning
 from animtool.retarget.transfer import Transfer
 from animtool.retarget.verdict import is_likely_scale
 from animtool.rig.kinematics import forward_kinematics
@@ -212,7 +213,7 @@ def retarget_stream(
     # A stage's rotation of its character is motion, not part of its rest pose.
     source = at_origin(stream.rig)
     stance_axis = find_standing_axis(source, first_block, joint_map.source.roles)
-    is_swapped = any(notice.code == "BVH115" for notice in stream.notices)
+    is_swapped = has_swapped_channels(stream.notices)
     if is_swapped:
         stance_axis = None
     if stance_axis is not None and stream.details.get("up_choice") == "stated":
@@ -418,7 +419,7 @@ def _source_warnings(stream: TakeStream, first_block: Motion) -> list[Fault]:
     rate, file_format = stream.fps / stream.step, stream.details.get("format")
     notices = (
         root_warning(stream.rig, first_block, float(1 / rate)),
-        swapped_legs_warning(stream.rig, first_block, str(file_format)),
+        swapped_sides_warning(stream.rig, first_block, str(file_format)),
     )
     fast_motion = []
     if file_format in CAPTURE_FORMATS:
@@ -466,7 +467,7 @@ def _run_pass(stream: TakeStream, options: Any, context: PassContext) -> TakeStr
         source,
         rig=rig,
         blocks=_with_fit_report(retargeting, blocks, context),
-        unread_meshes=(),
+        unread_meshes=None,
     )
     if passthrough is None:
         return retargeted_stream

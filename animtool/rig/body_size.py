@@ -12,12 +12,15 @@ from animtool.core.array_types import IntArray
 from animtool.core.quantities import length_text
 from animtool.core.units import LengthUnit, unit_name
 
-# Words for feet, alone or in compounds, but not as in flyWHEEL.
-_FOOT_WORDS = "foot|feet|toe|ankle|heel|paw|hoof"
-_FOOT_PATTERN = re.compile(
-    rf"(?<![A-Za-z])(?:{_FOOT_WORDS})"
-    rf"|{'|'.join(word.capitalize() for word in _FOOT_WORDS.split('|'))}"
-    rf"|(?<![A-Za-z])(?:{_FOOT_WORDS.upper()})"
+# Words for feet and hands, alone or in compounds, but not as in flyWHEEL.
+_FOOT_WORDS, _HAND_WORDS = "foot|feet|toe|ankle|heel|paw|hoof", "hand|wrist"
+_FOOT_PATTERN, _HAND_PATTERN = (
+    re.compile(
+        rf"(?<![A-Za-z])(?:{words})"
+        rf"|{'|'.join(word.capitalize() for word in words.split('|'))}"
+        rf"|(?<![A-Za-z])(?:{words.upper()})"
+    )
+    for words in (_FOOT_WORDS, _HAND_WORDS)
 )
 # With fewer joints, a rig is a prop of any size.
 MIN_CHARACTER_JOINTS = 10
@@ -39,6 +42,16 @@ def find_feet(joint_names: tuple[str, ...] | list[str]) -> IntArray:
         i for i, name in enumerate(joint_names) if _FOOT_PATTERN.search(name)
     ]
     return np.array(foot_indices, np.int64)
+
+
+def find_hands(names: tuple[str, ...] | list[str]) -> IntArray:
+    """Return the indices of hand joints, including those of fingers named for them.
+
+    >>> find_hands(["hips", "LeftHand", "RightHandThumb1", "wrist_l"]).tolist()
+    [1, 2, 3]
+    """
+    hand_indices = [i for i, name in enumerate(names) if _HAND_PATTERN.search(name)]
+    return np.array(hand_indices, np.int64)
 
 
 def is_character(joint_names: Sequence[str]) -> bool:

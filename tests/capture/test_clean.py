@@ -11,8 +11,11 @@ import pytest
 from numpy.testing import assert_array_equal
 from support.small_takes import content, small
 
+from animtool.capture import clean as clean_module
 from animtool.capture.clean import (
+    CleanedSignal,
     CleanOptions,
+    _noise_displacement,
     _roughness,
     clean,
     clean_take,
@@ -273,3 +276,41 @@ def test_cutoffs_that_move_joints_far_are_warned_of(
         assert "0.25 of the highest frequency, 15 Hz, would be 3.75 Hz" in str(
             notice.hint
         )
+
+
+def test_noise_displaces_the_end_of_a_chain_by_that_of_all_joints() -> None:
+    """Of 3 mm an axis at the root, and of 20 and 10 mrad at 2 m and 1 m."""
+    bone = (0, 1.0, 0)
+    joints = (
+        Joint("a", -1),
+        Joint("b", 0, translation=bone),
+        Joint("c", 1, translation=bone),
+    )
+    signals = [
+        CleanedSignal("a", False, (), 0.003, 1.0),
+        CleanedSignal("a", True, (), 0.02, 1.0),
+        CleanedSignal("b", True, (), 0.01, 1.0),
+    ]
+    expected = np.sqrt(3 * 0.003**2 + 2 * (2 * 0.02) ** 2 + 2 * 0.01**2)
+    assert _noise_displacement(Rig("arm", joints), signals) == pytest.approx(expected)
+    assert _noise_displacement(Rig("none", ()), []) == 0.0
+
+
+def test_a_cutoff_is_judged_without_cleaning_again(
+    walk: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    takes = []
+
+    def count(take: Take, options: CleanOptions) -> tuple[Take, list[CleanedSignal]]:
+        takes.append(take)
+        return clean_take(take, options)
+
+    monkeypatch.setattr(clean_module, "clean_take", count)
+    clean(read_bvh(walk).collect(), cutoff=6.0)
+    assert len(takes) == 1
+
+
+def test_spikes_are_not_what_a_cutoff_moves(walk: Path) -> None:
+    dirty, _ = spiked(read_bvh(walk).collect(), 0)
+    notices = clean(dirty, cutoff=6.0).notices
+    assert "CAP106" not in [notice.code for notice in notices]

@@ -348,3 +348,12 @@ def test_meshes_of_the_source_are_not_missed_in_another_rig(tmp_path: Path) -> N
     done = animtool("retarget", source, "--to", rig, "-o", tmp_path / "b.usdc")
     assert done.code == 0, done.stderr
     assert "USD127" not in done.stderr
+    (tmp_path / "animtool.toml").write_text(f'roots = ["{rig.parent}"]\n')
+    scene = tmp_path / "child.scene.yaml"
+    scene.write_text(
+        "scene: animtool/1\nsource: stride.usdc\n"
+        f"passes: [{{retarget: {{rig: {rig}}}}}]\n"
+    )
+    done = animtool("bake", scene, "-o", tmp_path / "c.usdc")
+    assert done.code == 0, done.stderr
+    assert "USD127" not in done.stderr

@@ -54,7 +54,7 @@ def test_what_is_out_of_reach_is_searched_from_each_start_alone(
         asked.append(given[3])
         return solve(*given, **more)
 
-    monkeypatch.setattr(module, "solve", noted)
+    monkeypatch.setattr(module, "solve_in_frame", noted)
     options = IkOptions(warm=True, near=True, ordered=True, restarts=9)
     found = module.find_nearest_poses(
         problem, result, targets, options, np.zeros((1, 5))

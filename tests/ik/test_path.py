@@ -35,6 +35,9 @@ from animtool.ik import path as ik_path
 from animtool.ik.chain import apply_steps, joint_steps
 from animtool.ik.goals import GOAL_KINDS
 from animtool.ik.path import build_frame_path, with_poses
+from animtool.rig.joints import local_from_coordinates
+from animtool.rig.kinematics import forward_kinematics
+from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 
 
 def test_misses_are_those_of_a_solve() -> None:
@@ -255,3 +258,31 @@ def test_blocks_of_a_long_path_join_smoothly(
     assert not np.array_equal(blocks.coordinates, whole.coordinates)
     assert not (result.converged & ~blocks.converged).any()
     assert acceleration(blocks) <= 1.05 * acceleration(whole)
+
+
+@pytest.mark.parametrize(("gain", "is_geared"), [(0.5, True), (2.0, False)])
+def test_a_revolution_that_moves_followers_is_kept(
+    gain: float, is_geared: bool
+) -> None:
+    """Of half a revolution a geared joint turns; of two it is where it was."""
+    bone, axis = (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
+    lead = Joint("lead", -1, JointType.PIN, axis=axis)
+    mimic = Mimic("lead", gain)
+    tail = Joint("tail", 0, JointType.PIN, translation=bone, axis=axis, mimic=mimic)
+    free = Joint("free", 1, JointType.PIN, translation=bone, axis=axis)
+    tip = Joint("tip", 2, JointType.FIXED, translation=bone)
+    rig = Rig("gear", (lead, tail, free, tip))
+    angles = np.linspace(2.5, 4.0, 40)
+    angles[angles > np.pi] -= 2 * np.pi
+    coordinates = np.stack([angles, gain * angles, np.linspace(0.2, 0.4, 40)], axis=1)
+    local = local_from_coordinates(rig, coordinates)
+    world = forward_kinematics(rig, local.translations, local.rotations)
+    targets = Targets(positions=world.positions[:, 3:])
+    problem = build(rig, [Goal("tip")])
+    assert problem.chain.is_geared.tolist() == [is_geared, False]
+    steps = joint_steps(problem.chain, coordinates[:1, ::2], coordinates[-1:, ::2])
+    assert abs(steps[0, 0]) == pytest.approx(4.78 if is_geared else 1.5, abs=0.01)
+    result = solve(problem, coordinates, targets)
+    smoothed = smooth(result, targets, 0.1, fps=24)
+    assert smoothed.converged.all()
+    assert smoothed.positions.max() < 1e-5

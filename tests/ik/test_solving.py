@@ -23,7 +23,7 @@ from support.suite import examples
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import OptionError
-from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, solve
+from animtool.ik import Goal, IkOptions, IkStatus, Targets, build, follow, solve
 from animtool.ik.goals import GOAL_KINDS
 from animtool.ik.solving import OPTION_RANGES
 from animtool.maths import so3
@@ -422,3 +422,29 @@ def test_a_long_chain_with_tight_limits_ends_at_the_nearest_pose(
     )
     assert result.positions[0, 0] < np.sqrt(2 * nearest) + 1e-5
     assert np.abs(result.coordinates).max() <= most + 1e-12
+
+
+def test_joints_that_do_not_move_are_where_the_problem_has_them() -> None:
+    bone = (1.0, 0.0, 0.0)
+    pins = [
+        Joint(name, j - 1, JointType.PIN, translation=bone, axis=(0, 0, 1))
+        for j, name in enumerate(("base", "upper", "lower"))
+    ]
+    rig, goal = Rig("arm", tuple(pins)), Goal("lower", offset=bone)
+    start, target = [0.8, 0.0, 0.3], [2.0, 1.2, 0.0]
+    problem = build(rig, [goal], joints=["upper", "lower"])
+    for call in (solve, follow):
+        with raises(OptionError, "IK016", match=r"'base' .* 0\.8 .* 0 in the pose"):
+            call(problem, start, Targets(positions=[[target]]))
+    with raises(OptionError, "IK016", match="Session"):
+        solve(problem, [start, [0.1, 0, 0]], Targets(positions=[[target], [target]]))
+    above = build(rig, [Goal("upper", offset=bone)], joints=["upper"])
+    assert above.fixed_columns.tolist() == [0]
+    fitting = build(rig, [goal], joints=["upper", "lower"], pose=start)
+    result = solve(fitting, start, Targets(positions=[[target]]))
+    reached = result.world().positions[0, 2] + so3.rotate(
+        result.world().rotations[0, 2], np.array(bone)
+    )
+    np.testing.assert_allclose(reached, target, atol=1e-5)
+    for near in (None, [1e-7, 0.2, 0.3]):
+        assert solve(problem, near, Targets(positions=[[target]])).converged.all()

@@ -8,7 +8,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from animtool import open_source, usd
+from animtool import (
+    BakeOptions,
+    OpenTake,
+    TakeStream,
+    bake,
+    convert,
+    open_source,
+    usd,
+    write_bvh,
+)
 from animtool.maths import so3
 from animtool.motion.motion import Channel
 from animtool.motion.quaternion_order import find_swapped_order, order_warning
@@ -26,6 +35,10 @@ def codes(take: Take, rotations: np.ndarray) -> list[str]:
     channel = Channel.from_dense(rotations)
     motion = replace(take.motion, rotations=channel)
     return [one.code for one in order_warning(take.rig, motion, "a.usda")]
+
+
+def opened(take: Take) -> OpenTake:
+    return OpenTake(Path("made"), TakeStream.of(take))
 
 
 @pytest.mark.parametrize(("shift", "found"), [(-1, True), (1, True), (0, False)])
@@ -74,4 +87,12 @@ def test_identities_with_w_first(walk: Take, tmp_path: Path) -> None:
         motion = replace(walk.motion, rotations=Channel.from_dense(rotations))
         take = replace(walk, motion=motion)
         result = usd.write(take, tmp_path / "a.usda", overwrite=True)
-        assert [notice.code for notice in result.notices].count("MOT222") == found
+        stage, output = tmp_path / "b.usda", tmp_path / "b.bvh"
+        written = (
+            result.notices,
+            write_bvh(take, output, overwrite=True),
+            bake(opened(take), stage, BakeOptions(overwrite=True)).notices,
+            convert(opened(take), output, overwrite=True).notices,
+        )
+        for notices in written:
+            assert [notice.code for notice in notices].count("MOT222") == found

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 
@@ -27,6 +28,7 @@ from animtool.formats.bvh.plausibility import (
     unused_positions_note,
 )
 from animtool.formats.bvh.suspicious import (
+    channel_order_warning,
     opposite_offset_warnings,
     swapped_root_warning,
 )
@@ -43,6 +45,8 @@ DECIMETRE = 0.1  # [m]
 MAX_LISTED_JOINTS = 4
 # Bones shorter than this fraction of their OFFSET are collapsed [1].
 MIN_LENGTH_FRACTION = 1e-4
+# Frames a second at which orders of channels are compared, and their greatest number.
+TRIAL_RATE, MAX_TRIAL_FRAMES = 30.0, 240
 
 
 @expects_format("BVH001", "a BVH file")
@@ -117,7 +121,7 @@ def read_bvh(
     if up is not None:
         details["up_choice"] = "stated"
     fps = header.rate_choice.fps if rate is None else rate
-    blocks = _read_blocks(row_source, header, layout, rig, notices)
+    blocks = _read_blocks(row_source, header, layout, rig, float(fps), notices)
     return TakeStream(rig, fps, None, Fraction(1), blocks, notices, details)
 
 
@@ -258,8 +262,10 @@ def _read_blocks(
     header: BvhHeader,
     layout: _ColumnLayout,
     rig: Rig,
+    rate: float,
     notices: list[Fault],
 ) -> Iterator[Motion]:
+    path = str(source.path)
     reader, max_positions = RowReader(source), np.zeros(len(layout.position_columns))
     position_joints = np.array(layout.position_joints, np.int64)
     rotation_joints = np.array(layout.rotation_joints, np.int64)
@@ -269,7 +275,7 @@ def _read_blocks(
     ranges = ChannelRanges(np.unique(rotation_columns[rotation_columns >= 0]))
     for i, rows in enumerate(reader.blocks()):
         if i == 0:
-            notices += swapped_root_warning(header, rows, rig, str(source.path))
+            notices += swapped_root_warning(header, rows, rig, path)
         translations = np.repeat(rest_positions[None], len(rows), axis=0)
         max_positions = np.maximum(
             max_positions, np.abs(rows[:, layout.position_columns]).max(axis=0)
@@ -282,7 +288,7 @@ def _read_blocks(
         )
         previous_rotations = rotations[-1].copy()
         ranges.add(rows, translations[:, :3])
-        yield Motion(
+        motion = Motion(
             Channel(
                 rig.rest_translations,
                 position_joints,
@@ -290,12 +296,44 @@ def _read_blocks(
             ),
             Channel(rig.rest_rotations, rotation_joints, rotations),
         )
+        if i == 0:
+            notices += channel_order_warning(
+                header, _OrderTrial(motion, rows, layout, rate).motion, rig, path
+            )
+        yield motion
     notices.extend(reader.notices)
     extents = np.abs(rest_positions) / rig.meters_per_unit
     extents[layout.position_slots] = max_positions
-    path = str(source.path)
     notices += _collapsed_bones_notice(rig, position_joints, extents, path)
     notices += radians_warning(ranges, rig, path)
+
+
+class _OrderTrial:
+    """Samples of a block with its rotation channels in other orders."""
+
+    def __init__(
+        self, motion: Motion, rows: FloatArray, layout: _ColumnLayout, rate: float
+    ) -> None:
+        """Take samples from the middle of a block, at a rate of cameras."""
+        step = max(1, round(rate / TRIAL_RATE))
+        count = min(len(rows) // step, MAX_TRIAL_FRAMES)
+        first = (len(rows) - step * count) // 2
+        frames = np.arange(first, first + step * count, step)
+        self._motion, self._rows = motion.select(frames), rows[frames]
+        self._layout = layout
+
+    def motion(self, order: tuple[int, ...]) -> Motion:
+        """Return the motion with the channels of each joint permuted."""
+        layout, rotations = self._layout, self._motion.rotations
+        has_three = (layout.rotation_columns >= 0).all(axis=1, keepdims=True)
+        axes = np.where(
+            has_three, layout.rotation_axes[:, order], layout.rotation_axes
+        ).astype(np.int32)
+        first: FloatArray = np.tile(IDENTITY, (len(axes), 1))
+        values = _kernels.euler_to_quaternion(
+            self._rows, layout.rotation_columns, axes, first
+        )
+        return replace(self._motion, rotations=replace(rotations, values=values))
 
 
 def _collapsed_bones_notice(

@@ -1,13 +1,18 @@
-"""Detects swapped root channels, and offsets whose sign differs between sides."""
+"""Detects swapped channels, and offsets whose sign differs between sides."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from itertools import permutations
+
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, Severity
 from animtool.core.quantities import plain_number, vector_text
 from animtool.formats.bvh.hierarchy import BvhHeader
+from animtool.motion.motion import Motion
+from animtool.rig.body_size import find_feet, is_character
 from animtool.rig.kinematics import rest_size, rest_world
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Rig
@@ -30,6 +35,11 @@ MIN_OFFSET_FRACTION = 0.03
 # Fewest mirrored pairs with most of their offset across the plane of symmetry; bones
 # with axes of their own have none.
 MIN_LATERAL_PAIRS = 2
+# Speed of the slower foot of a body whose feet slide, over the mean speed of joints,
+# and largest ratio to it of the speed in the right order of angles [1].
+MIN_SLIDING_SPEED, MAX_SPEED_RATIO = 0.05, 0.1
+# Fewest frames in which feet can be seen to stand still.
+MIN_ORDER_FRAMES = 20
 
 
 def swapped_root_warning(
@@ -109,6 +119,62 @@ def swapped_root_warning(
     names = " ".join(channels[exchanged_columns[i]] for i in range(6))
     hint = f"if so, write CHANNELS 6 {names}"
     return [Fault("BVH115", message, path, (root.line,), hint, Severity.WARNING)]
+
+
+def channel_order_warning(
+    header: BvhHeader,
+    motion_in_order: Callable[[tuple[int, ...]], Motion],
+    rig: Rig,
+    path: str,
+) -> list[Fault]:
+    """Return a warning if feet stand still only in another order of angles (BVH117).
+
+    Args:
+        header: The header of the file.
+        motion_in_order: Returns frames of the take with the three rotation channels of
+            each joint permuted.
+        rig: The skeleton.
+        path: The file.
+    """
+    feet, names = find_feet(rig.names), _rotation_names(header)
+    if not is_character(rig.names) or len(names) != 3:
+        return []
+    speeds: dict[tuple[int, ...], float] = {}
+    for order in permutations(range(3)):
+        motion = motion_in_order(order)
+        if motion.frames < MIN_ORDER_FRAMES:
+            return []
+        speeds[order] = _foot_speed(motion.world(rig).positions, feet)
+        # The first is the order as read.
+        if speeds[0, 1, 2] < MIN_SLIDING_SPEED:
+            return []
+    speed_as_read = speeds[0, 1, 2]
+    order = min(speeds, key=speeds.__getitem__)
+    if speeds[order] > MAX_SPEED_RATIO * speed_as_read:
+        return []
+    channels = " ".join(names[i] for i in order)
+    message = f"no foot stands still: the slower one moves at {speed_as_read:.0%} of "
+    message += f"the mean speed of joints, but at {speeds[order]:.1%} if the angles of "
+    message += f"CHANNELS {' '.join(names)} are those of {channels}"
+    line = header.joints[0].line
+    hint = f"if so, write {channels} in the CHANNELS of the root, and exchange those "
+    hint += "of the other joints likewise"
+    return [Fault("BVH117", message, path, (line,), hint, Severity.WARNING)]
+
+
+def _rotation_names(header: BvhHeader) -> list[str]:
+    """Return the rotation channels of the root."""
+    return [c for c in header.joints[0].channels or () if c.endswith("rotation")]
+
+
+def _foot_speed(positions: FloatArray, feet: IntArray) -> float:
+    """Return the speed of the slower foot, over the mean speed of the joints.
+
+    In a fifth of the frames it is slower. 0 for bodies that stand still.
+    """
+    speeds = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
+    foot_speed = np.percentile(speeds[:, feet].min(axis=1), 20)
+    return float(foot_speed / speeds.mean()) if foot_speed > 0 else 0.0
 
 
 def opposite_offset_warnings(header: BvhHeader, rig: Rig, path: str) -> list[Fault]:

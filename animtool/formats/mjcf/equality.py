@@ -7,15 +7,18 @@ from typing import Any
 
 import numpy as np
 
+from animtool.core.array_types import FloatArray
 from animtool.core.errors import cycle_text, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.robots.diagnostics import XmlDiagnostics
-from animtool.rig.drivers import ANGLE, SLIDE, Driver
+from animtool.rig.drivers import ANGLE, SLIDE, Driver, split_coordinate
 from animtool.rig.expressions import parse_expression
 from animtool.rig.skeleton import Mimic
 
 # Rounding of limits and coefficients in a file [rad], [m].
 LIMIT_TOLERANCE = 1e-6
+# Values of a leader at which a polynomial is compared with limits.
+LEADER_VALUES = 181
 _JOINT_EQUALITY = 2
 _SLIDE_JOINT = 2
 
@@ -60,7 +63,7 @@ class JointEqualities:
         """Return the limited joints that equalities may move beyond their limits.
 
         Joints that follow an unlimited joint are only reported if no value of that has
-        all of them within limits; those that follow nonlinearly are not.
+        all of them within limits; those that follow it nonlinearly are not.
         """
         beyond = []
         leader_ranges: dict[int, tuple[float, float]] = {}
@@ -68,8 +71,8 @@ class JointEqualities:
             low, high = np.array(model.jnt_range[follower]).tolist()
             driver, mimic = self.drivers.get(follower), self.mimics.get(follower)
             reachable_values = []
-            if driver is not None and not driver.names:
-                reachable_values = driver.evaluate({}).tolist()
+            if driver is not None:
+                reachable_values = _driver_values(model, driver)
             elif mimic is not None and (leader := model.joint(mimic.joint)).limited[0]:
                 reachable_values = [
                     mimic.gain * end + mimic.offset for end in leader.range
@@ -133,6 +136,21 @@ def _linear_part(
     if leader < 0:
         return offset, 0.0
     return offset - polynomial[1] * _reference_value(model, leader), polynomial[1]
+
+
+def _driver_values(model: Any, driver: Driver) -> list[float]:
+    """Return values of a driver over the range of its joint; none if it has no limits.
+
+    One value is that of a constant.
+    """
+    values: dict[str, FloatArray] = {}
+    for name in driver.names:
+        leader = model.joint(split_coordinate(name)[0])
+        if not leader.limited[0]:
+            return []
+        low, high = leader.range.tolist()
+        values[name] = np.linspace(low, high, LEADER_VALUES)
+    return [float(value) for value in driver.evaluate(values)]
 
 
 def _polynomial_driver(

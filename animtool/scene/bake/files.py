@@ -110,7 +110,6 @@ class FilePlan:
         path, plan = self.path, self.take
         options, base = plan.options, self.base
         stream = resample_for_output(plan)
-        stream.notices = [*stream.notices, *plan.notices]
         take = stream.collect()
         base_take = None
         if base is not None:
@@ -135,7 +134,7 @@ class FilePlan:
         notices = [
             n for take_stream in (stream, *other_streams) for n in take_stream.notices
         ]
-        notices += [*take.notices, *mesh_notices, *outputs.notices]
+        notices += [*plan.notices, *mesh_notices, *outputs.notices]
         notices = without_accepted(list(dict.fromkeys(notices)))
         refuse_warnings(notices, strict=options.strict)
         files, inputs = list(outputs.contents), [plan.source, *([base] if base else [])]

@@ -454,7 +454,7 @@ def _unwritten_meshes_note(
             Severity.NOTE,
         )
         for path, stream in zip(sources, streams, strict=True)
-        if (meshes := stream.unread_meshes)
+        if stream.unread_meshes is not None and (meshes := stream.unread_meshes())
     ]
 
 

@@ -72,6 +72,8 @@ class SourceSet:
 
     def open(self, options: BakeOptions, progress: Progress = None) -> list[TakeStream]:
         """Open every source, or raise the faults of all sources together."""
+        from animtool.motion.quaternion_order import with_order_warning
+
         streams: list[TakeStream] = []
         errors: list[AnimtoolError] = []
         for i, (path, take) in enumerate(zip(self.files, self.takes, strict=True)):
@@ -83,7 +85,7 @@ class SourceSet:
                 if take is None:
                     streams.append(self._open_source(path, options, source_progress))
                 else:
-                    streams.append(take)
+                    streams.append(with_order_warning(take, str(path)))
             except AnimtoolError as error:
                 errors.append(error)
         if len(errors) == 1:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 SUSPECT_SOURCES = {
     "BVH115": "the root channels of the take",
     "BVH116": "an offset of the take",
+    "BVH117": "the channel order of the take",
     "MAP115": "the map",
     "MOT209": "the height of the take",
     "MOT210": "left and right of the take",
@@ -220,7 +221,7 @@ def _retarget(
     solved_stream = replace(
         stream,
         rig=rig,
-        unread_meshes=(),
+        unread_meshes=None,
         blocks=timed_items(blocks, seconds, "solve"),
         notices=notices,
         curve=None,

@@ -146,7 +146,7 @@ def map_to_rig(
         stream,
         rig=rig,
         blocks=(name_map.apply(block) for block in source_blocks),
-        unread_meshes=(),
+        unread_meshes=None,
         control_curves={
             name: curves
             for name, curves in stream.control_curves.items()

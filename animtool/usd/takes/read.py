@@ -180,7 +180,7 @@ def read_character(
             animation, PrimLocation.from_prim(path, animation)
         )
     else:
-        stream.unread_meshes = skinned_mesh_names(skeletons[0])
+        stream.unread_meshes = _mesh_reader(stage, skeletons[0], path)
         _merge_stored_rig(stream, skeletons[0], skeleton, path)
         if animation is not None and not UsdSkel.Root.Find(skeleton_prim):
             stream.notices.append(_missing_root_notice(skeleton_prim, animation, path))
@@ -195,6 +195,21 @@ def read_character(
     stream.notices += skipped_skeletons_notice(skeletons, str(path))
     stream.notices += composition_notices(stage, str(path))
     return stream
+
+
+def _mesh_reader(
+    stage: Any, skeleton: Any, path: Path
+) -> Callable[[], tuple[str, ...]]:
+    """Return a function that names the skinned meshes, which few readers need."""
+    skeleton_path = skeleton.GetPath()
+
+    def mesh_names() -> tuple[str, ...]:
+        # The reference to the stage keeps its prims alive.
+        with usd_errors(path), without_usd_warnings():
+            prim = stage.GetPrimAtPath(skeleton_path)
+            return skinned_mesh_names(UsdSkel.Skeleton(prim))
+
+    return mesh_names
 
 
 def _find_placement(

@@ -13,7 +13,7 @@ from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.errors import Fault, Severity, counted, listed
 from animtool.core.quantities import percent_hint, plain_number
 from animtool.maths import so3
-from animtool.retarget.swapped_legs import SWAPPED_LEGS_HINT, find_swapped_legs
+from animtool.retarget.swapped_sides import SWAPPED_SIDES_HINT, find_swapped_sides
 from animtool.validation.motion.body import body_carriers
 from animtool.validation.motion.subject import MotionSubject
 
@@ -219,13 +219,13 @@ def swapped_sides(subject: MotionSubject) -> Iterator[Fault]:
 
 def _full_take_swap(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if left joints are on the right side of the body in all frames."""
-    swap = find_swapped_legs(
+    swap = find_swapped_sides(
         subject.take.rig, subject.positions, subject.size, subject.sides
     )
     # The reader of a file reports it when it is baked, too.
     is_reported = any(notice.code == "MOT210" for notice in subject.take.notices)
     if swap is not None and not is_reported:
-        hint, frame = SWAPPED_LEGS_HINT, swap.first_frame
+        hint, frame = SWAPPED_SIDES_HINT, swap.first_frame
         yield subject.fault("MOT210", swap.left_joint, frame, swap.message, hint)
 
 

@@ -23,7 +23,12 @@ from animtool.retarget.root_position import (
     low_height_factor,
     root_warning,
 )
-from animtool.retarget.standing import UP_AXIS_HINTS, Stance, measure_stance
+from animtool.retarget.standing import (
+    UP_AXIS_HINTS,
+    Stance,
+    has_swapped_channels,
+    measure_stance,
+)
 from animtool.rig.body_size import (
     MIN_CHARACTER_JOINTS,
     find_feet,
@@ -255,7 +260,7 @@ def far_root(subject: MotionSubject) -> Iterator[Fault]:
 def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
     """Yield a fault if the body is upright along an axis that is not up (MOT214)."""
     rig, stance = subject.take.rig, tilted_stance(subject)
-    if any(notice.code == "BVH115" for notice in subject.take.notices):
+    if has_swapped_channels(subject.take.notices):
         return
     if stance is None:
         # The bake of a file reports it, too.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
+from itertools import permutations
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,35 @@ def test_swapped_root_channels(
     assert codes.count("BVH115") == found
     if found:
         assert "MOT214" not in codes
+
+
+@pytest.mark.parametrize("order", list(permutations("ZXY")))
+def test_channels_in_another_order_than_the_angles(
+    order: tuple[str, ...], tmp_path: Path
+) -> None:
+    """The walk has Z, X, Y; its feet stand still in that order alone."""
+    channels, right = (
+        " ".join(f"{letter}rotation" for letter in letters)
+        for letters in (order, "ZXY")
+    )
+    text, path = WALK.read_text("utf-8"), tmp_path / "a.bvh"
+    path.write_text(text.replace(right, channels), "utf-8")
+    faults = validate(path)
+    found = [fault for fault in faults if fault.code == "BVH117"]
+    assert len(found) == (channels != right)
+    for fault in found:
+        assert fault.message.endswith(f"CHANNELS {channels} are those of {right}")
+        assert "MOT214" not in [fault.code for fault in faults]
+
+
+def test_too_few_frames_show_no_standing_foot(tmp_path: Path) -> None:
+    for frames, count in ((19, 0), (64, 1)):
+        path = changed(tmp_path / "a.bvh", lambda rows, n=frames: rows[:n])
+        text = path.read_text("utf-8").replace("Frames: 64", f"Frames: {frames}")
+        path.write_text(text.replace("Zrotation Xrotation", "Xrotation Zrotation"))
+        stream = read_bvh(path)
+        list(stream.blocks)
+        assert [n.code for n in stream.notices].count("BVH117") == count
 
 
 @pytest.mark.parametrize(

@@ -285,6 +285,11 @@ def test_constants_hold_in_a_take(tmp_path: Path) -> None:
             'joint2="one" polycoef="2 1 0 0 0"/>',
             False,
         ),
+        # Beyond at the ends of its leader's range, in its middle, and nowhere.
+        ('<joint joint1="c" joint2="push" polycoef="0 0 9 0 0"/>', True),
+        ('<joint joint1="c" joint2="push" polycoef="1.6 0 -1 0 0"/>', True),
+        ('<joint joint1="c" joint2="push" polycoef="1.4 0 -1 0 0"/>', False),
+        ('<joint joint1="c" joint2="one" polycoef="0 0 9 0 0"/>', False),  # unlimited
         ('<joint joint1="c" polycoef="2 0 0 0 0"/>', True),
         ('<joint joint1="c" polycoef="1 0 0 0 0"/>', False),
     ],

@@ -131,3 +131,13 @@ def test_what_would_not_be_read_again_is_not_written(
     assert done.code == 3
     assert "DOC023" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == [source]
+
+
+@pytest.mark.parametrize("suffix", [".bvh", ".clip.yaml", ".glb", ".usda"])
+def test_what_is_noticed_while_frames_are_read_is_reported(
+    walk: Path, tmp_path: Path, suffix: str
+) -> None:
+    text = walk.read_text("utf-8").replace("Zrotation Xrotation", "Xrotation Zrotation")
+    (tmp_path / "other.bvh").write_text(text, "utf-8")
+    report = convert(tmp_path / "other.bvh", tmp_path / f"out{suffix}")
+    assert [notice.code for notice in report.notices].count("BVH117") == 1

@@ -9,9 +9,13 @@ from numpy.testing import assert_allclose
 from support.placed import composed, stage_text
 
 from animtool.core.errors import FormatError
+from animtool.edit.loop_options import LoopOptions
+from animtool.report.describe import describe
 from animtool.rig.skeleton import Joint, Rig
 from animtool.scene.bake.bake import bake
 from animtool.scene.bake.options import BakeOptions
+from animtool.scene.convert.takes import convert
+from animtool.scene.solves.cycle import loop_source
 from animtool.scene.sources.onto_rig import map_names
 from animtool.scene.sources.open import SourceOptions
 
@@ -88,3 +92,43 @@ def test_meshes_that_a_stage_leaves_out_are_noted(tmp_path: Path) -> None:
     assert str(outer) not in (note.hint or "")
     assert codes == {"joints": ["USD127"], "meshes": [], "points": [], "layer": []}
     assert '"body"' in output.with_stem("meshes").read_text()
+
+
+@pytest.mark.parametrize("pass_text", ["trim: {first: 2}", "clean: {}", "resample: {}"])
+def test_passes_of_frames_and_of_clips_keep_the_note_on_meshes(
+    tmp_path: Path, pass_text: str
+) -> None:
+    (tmp_path / "char.usda").write_text(stage_text())
+    scene = tmp_path / "shot.scene.yaml"
+    scene.write_text(
+        f"scene: animtool/1\nsource: char.usda\npasses: [{{{pass_text}}}]\n"
+    )
+    codes = [n.code for n in bake(scene, tmp_path / "s.usda").notices]
+    assert codes.count("USD127") == 1
+
+
+def test_a_loop_notes_the_meshes_of_its_source(tmp_path: Path) -> None:
+    source = tmp_path / "char.usda"
+    source.write_text(stage_text())
+    options = LoopOptions(first=1, last=5, find=False)
+    result = loop_source(source, tmp_path / "loop.usda", options)
+    assert [n.code for n in result.notices].count("USD127") == 1
+
+
+def test_meshes_are_listed_only_for_a_stage(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "char.usda"
+    source.write_text(stage_text())
+    calls = []
+
+    def count(skeleton: object) -> tuple[str, ...]:
+        calls.append(skeleton)
+        return ("body",)
+
+    monkeypatch.setattr("animtool.usd.takes.read.skinned_mesh_names", count)
+    describe(source)
+    convert(source, tmp_path / "take.bvh")
+    assert calls == []
+    bake(source, tmp_path / "out.usda")
+    assert len(calls) == 1

@@ -1,4 +1,4 @@
-"""Detects legs whose names are those of the other side of the body."""
+"""Detects legs and arms whose names are those of the other side of the body."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault, counted, warning
 from animtool.core.record import dataclass
 from animtool.motion.motion import Motion
-from animtool.rig.body_size import find_feet, is_character
+from animtool.rig.body_size import find_feet, find_hands, is_character
 from animtool.rig.kinematics import rest_size, rest_world
 from animtool.rig.sides import SidePairs, pair_sides
 from animtool.rig.skeleton import Rig
@@ -22,17 +22,17 @@ MIN_UPRIGHT, MIN_UPRIGHT_FRACTION = 0.9, 0.3
 MIN_TOE_LENGTH = 0.01
 # Fewest and most frames of a check of a block.
 MIN_FRAMES, MAX_FRAMES = 8, 64
-SWAPPED_LEGS_HINT = (
+SWAPPED_SIDES_HINT = (
     "exchange the names of the left and the right joints in the file; if the motion "
     "itself is mirrored, mirror it where it was made"
 )
 
 
 @dataclass(frozen=True, slots=True)
-class SwappedLegs:
-    """Hips on the other side of the body than their names say."""
+class SwappedSides:
+    """Hips or shoulders on the other side of the body than their names say."""
 
-    left_joint: int  # index of the hip that is named left
+    left_joint: int  # index of the hip or shoulder that is named left
     left_name: str
     right_name: str
     first_frame: int  # index of the first frame in which it is on the right
@@ -49,13 +49,13 @@ class SwappedLegs:
         )
 
 
-def find_swapped_legs(
+def find_swapped_sides(
     rig: Rig, positions: FloatArray, size: float, sides: SidePairs | None = None
-) -> SwappedLegs | None:
-    """Return the legs that are on the other side of a body whose toes point forward.
+) -> SwappedSides | None:
+    """Return the limbs that are on the other side of a body whose toes point forward.
 
-    None if they are not, or if it cannot be told: for lying or crawling bodies, and
-    rigs without toes.
+    Legs come before arms. None if there are none, or if it cannot be told: for lying or
+    crawling bodies, and rigs without toes.
 
     Args:
         rig: J joints.
@@ -68,39 +68,37 @@ def find_swapped_legs(
     if facing_direction is None:
         return None
     sides = pair_sides(rig.names, rig.parents) if sides is None else sides
-    hips = _hip_pair(rig, sides, feet.tolist(), MIN_TOE_LENGTH * size)
-    if hips is None:
+    legs = _limb_pairs(rig, sides, feet.tolist(), MIN_TOE_LENGTH * size)
+    if not legs:
         return None
-    left_hip, right_hip = hips
-    hip_centers = 0.5 * (positions[:, left_hip] + positions[:, right_hip])
+    hip_centers = positions[:, legs[0]].mean(axis=1)
     up_directions = hip_centers - positions[:, feet].mean(axis=1)
     left_direction = np.cross(up_directions, facing_direction)
-    hip_offsets = positions[:, left_hip] - positions[:, right_hip]
-    left_distance = np.einsum("fc,fc->f", left_direction, hip_offsets)
     is_used = np.linalg.norm(facing_direction, axis=1) > MIN_TOE_LENGTH * size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
     leg_lengths = np.linalg.norm(up_directions, axis=1)
     is_used &= up_directions @ np.array(rig.up.vector) > MIN_UPRIGHT * leg_lengths
     if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
         return None
-    is_swapped = is_used & (left_distance < 0.0)
-    swapped_count = int(np.count_nonzero(is_swapped))
-    if swapped_count <= SWAP_FRACTION * np.count_nonzero(is_used):
-        return None
-    return SwappedLegs(
-        left_hip,
-        rig.names[left_hip],
-        rig.names[right_hip],
-        int(is_swapped.argmax()),
-        swapped_count,
-        len(positions),
-    )
+    hands = find_hands(rig.names).tolist()
+    arms = _limb_pairs(rig, sides, hands, MIN_TOE_LENGTH * size)
+    # Clavicles may be right and the arms below them swapped.
+    for left, right in (legs[0], *arms[:2]):
+        offsets = positions[:, left] - positions[:, right]
+        left_distance = np.einsum("fc,fc->f", left_direction, offsets)
+        is_swapped = is_used & (left_distance < 0.0)
+        swapped_count = int(np.count_nonzero(is_swapped))
+        if swapped_count > SWAP_FRACTION * np.count_nonzero(is_used):
+            names = rig.names[left], rig.names[right]
+            first_frame, frame_count = int(is_swapped.argmax()), len(positions)
+            return SwappedSides(left, *names, first_frame, swapped_count, frame_count)
+    return None
 
 
-def swapped_legs_warning(
+def swapped_sides_warning(
     rig: Rig, motion: Motion, file_format: str = ""
 ) -> Fault | None:
-    """Return a warning if the legs of a block of frames have swapped names (MOT210).
+    """Return a warning if limbs of a block of frames have swapped names (MOT210).
 
     Long blocks are sampled. A BVH may state another order of its angles.
     """
@@ -109,14 +107,14 @@ def swapped_legs_warning(
     count = min(motion.frames, MAX_FRAMES)
     frames = np.linspace(0, motion.frames - 1, count).astype(np.int64)
     positions = motion.select(frames).world(rig).positions
-    legs = find_swapped_legs(rig, positions, rest_size(rig))
-    if legs is None:
+    swap = find_swapped_sides(rig, positions, rest_size(rig))
+    if swap is None:
         return None
     message = (
-        f"{legs.left_name!r} is on the right of the body, and {legs.right_name!r} on "
+        f"{swap.left_name!r} is on the right of the body, and {swap.right_name!r} on "
         "the left, by the direction of the feet"
     )
-    hint = SWAPPED_LEGS_HINT
+    hint = SWAPPED_SIDES_HINT
     if file_format == "BVH":
         hint += "; if limbs bend the wrong way too, correct the order of the rotations "
         hint += "in CHANNELS: it may not be that of the data"
@@ -143,16 +141,21 @@ def _facing_direction(
     return np.asarray(np.where(is_flat[..., None], horizontal_bones, 0.0).mean(axis=1))
 
 
-def _hip_pair(
-    rig: Rig, sides: SidePairs, feet: list[int], min_width: float
-) -> tuple[int, int] | None:
-    """Return the left and right joint above the feet that are nearest to the root."""
+def _limb_pairs(
+    rig: Rig, sides: SidePairs, tips: list[int], min_width: float
+) -> list[tuple[int, int]]:
+    """Return left and right joints that are apart, from the root to the first tip."""
     rest_positions = rest_world(rig).positions[0]
-    partner_by_left = {int(left): int(sides.partners[left]) for left in sides.left}
-    for left in sorted(feet):
+    partners = {int(left): int(sides.partners[left]) for left in sides.left}
+    for left in sorted(tips, key=lambda tip: (tip not in partners, tip)):
         # Joints nearest to the root may be at its position.
-        for hip in [j for j in reversed(rig.upwards(left)) if j in partner_by_left]:
-            offset = rest_positions[hip] - rest_positions[partner_by_left[hip]]
-            if np.linalg.norm(offset) > min_width:
-                return hip, partner_by_left[hip]
-    return None
+        pairs = [
+            (joint, partners[joint])
+            for joint in reversed(rig.upwards(left))
+            if joint in partners
+            and np.linalg.norm(rest_positions[joint] - rest_positions[partners[joint]])
+            > min_width
+        ]
+        if pairs:
+            return pairs
+    return []

@@ -1,4 +1,4 @@
-"""Legs with the names of the other side."""
+"""Legs and arms with the names of the other side."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from support.cli import animtool
 
-from animtool.retarget.swapped_legs import swapped_legs_warning
+from animtool.retarget.swapped_sides import swapped_sides_warning
 from animtool.scene.sources.open import open_source
 
 SAMPLES = Path(__file__).parents[2] / "samples"
@@ -18,12 +18,15 @@ RIG = SAMPLES.parent / "rigs/biped/biped.rig.yaml"
 @pytest.fixture
 def swapped(tmp_path: Path) -> Path:
     """Return a walk whose legs have swapped names."""
+    return with_swapped(tmp_path / "walk.bvh", "UpLeg", "Leg", "Foot", "Toe")
+
+
+def with_swapped(path: Path, *parts: str) -> Path:
     text = (SAMPLES / "walk/walk.bvh").read_text()
-    for part in ("UpLeg", "Leg", "Foot", "Toe"):
+    for part in parts:
         text = text.replace(f"JOINT Left{part}\n", f"JOINT Other{part}\n")
         text = text.replace(f"JOINT Right{part}\n", f"JOINT Left{part}\n")
         text = text.replace(f"JOINT Other{part}\n", f"JOINT Right{part}\n")
-    path = tmp_path / "walk.bvh"
     path.write_text(text)
     return path
 
@@ -31,15 +34,30 @@ def swapped(tmp_path: Path) -> Path:
 def test_legs_that_are_swapped(swapped: Path) -> None:
     for path, code in ((swapped, "MOT210"), (SAMPLES / "walk/walk.bvh", None)):
         take = open_source(path).collect()
-        found = swapped_legs_warning(take.rig, take.motion)
+        found = swapped_sides_warning(take.rig, take.motion)
         assert (None if found is None else found.code) == code
-        in_bvh = swapped_legs_warning(take.rig, take.motion, "BVH")
+        in_bvh = swapped_sides_warning(take.rig, take.motion, "BVH")
         for file_format, fault in (("", found), ("BVH", in_bvh)):
             hint = "" if fault is None else str(fault.hint)
             assert ("CHANNELS" in hint) == (code is not None and file_format == "BVH")
         # A pose may be anything.
         pose = take.motion.select(slice(0, 1))
-        assert swapped_legs_warning(take.rig, pose) is None
+        assert swapped_sides_warning(take.rig, pose) is None
+
+
+@pytest.mark.parametrize(
+    "parts",
+    [("Shoulder", "Arm", "ForeArm", "Hand"), ("Arm", "ForeArm", "Hand"), ("Hand",)],
+)
+def test_arms_that_are_swapped(tmp_path: Path, parts: tuple[str, ...]) -> None:
+    path = with_swapped(tmp_path / "walk.bvh", *parts)
+    take = open_source(path).collect()
+    found = swapped_sides_warning(take.rig, take.motion)
+    assert found is not None
+    assert found.code == "MOT210"
+    assert f"'Left{parts[0]}' is on the right" in found.message
+    done = animtool("validate", path)
+    assert (done.stdout + done.stderr).count("MOT210") == 1
 
 
 def test_commands_report_it_once(swapped: Path, tmp_path: Path) -> None:
