@@ -49,6 +49,20 @@ def _matches_shape(lengths: tuple[int, ...], shape: tuple[int | str, ...]) -> bo
     )
 
 
+def distinct_values(values: FloatArray) -> FloatArray:
+    """Return the different values of an array ``(N,)``, sorted.
+
+    `numpy.unique` does the same, but loads `numpy.ma`, which takes 7 ms.
+
+    >>> distinct_values(np.array([2.0, 1.0, 2.0])).tolist()
+    [1.0, 2.0]
+    """
+    sorted_values = np.sort(values)
+    is_first = np.ones(len(values), bool)
+    is_first[1:] = sorted_values[1:] != sorted_values[:-1]
+    return sorted_values[is_first]
+
+
 def output_array(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
     """Return the caller's output array, or a new array of zeros.
 

@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
 from functools import cache
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
 
 Check = Callable[[Any], Iterable[Fault]]
 PLUGIN_GROUP = "animtool.rules"
-_PAGES_FOLDER = resources.files("animtool") / "docs" / "rules"
+_PAGES_FOLDER = Path(__file__).parents[1] / "docs" / "rules"
 _CODE_PATTERN = re.compile(r"[A-Z][A-Z0-9]{1,7}[0-9]{3}")
 
 
@@ -115,7 +114,7 @@ def builtin_rules() -> Mapping[str, Rule]:
     rules = []
     for page_file in _PAGES_FOLDER.iterdir():
         # For 800 files, text buffers and decoders would take half of the time.
-        with cast(Path, page_file).open("rb", buffering=0) as page:
+        with page_file.open("rb", buffering=0) as page:
             rules.append(_parse_page(page.read().decode())[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
 

@@ -262,7 +262,7 @@ def _read_blocks(
     rest_positions = rig.rest_translations[position_joints].ravel()
     previous_rotations: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
     rotation_columns = layout.rotation_columns
-    ranges = ChannelRanges(np.unique(rotation_columns[rotation_columns >= 0]))
+    ranges = ChannelRanges(rotation_columns[rotation_columns >= 0])
     for i, rows in enumerate(reader.blocks()):
         if i == 0:
             notices += swapped_root_warning(header, rows, rig, str(source.path))
