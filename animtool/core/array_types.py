@@ -60,7 +60,8 @@ def median(values: FloatArray) -> FloatArray:
     sorted_values, middle = np.sort(values, axis=0), len(values) // 2
     middles = sorted_values[middle - (len(values) % 2 == 0) : middle + 1]
     last = sorted_values[-1]  # NaN is sorted last
-    return np.where(np.isnan(last), last, middles.mean(axis=0))
+    medians: FloatArray = np.where(np.isnan(last), last, middles.mean(axis=0))
+    return medians
 
 
 def distinct_values(values: FloatArray) -> FloatArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
@@ -226,3 +227,22 @@ class Mass:
     centre: Vector = (0.0, 0.0, 0.0)
     inertia: Vector | None = None
     axes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+# Rounding tolerance of the triangle inequality, as a fraction of the sum.
+INERTIA_TOLERANCE = 1e-3
+
+
+def inertia_problem(inertia: Sequence[float]) -> str:
+    """Return why moments of inertia are impossible; empty if valid.
+
+    >>> inertia_problem([1.0, 1.0, 2.0]), inertia_problem([1.0, 1.0, 3.0])
+    ('', 'of 1, 1, 3 kg m² one is above the sum of the others')
+    """
+    smallest, middle, largest = sorted(inertia)
+    inertia_text = ", ".join(f"{value:.3g}" for value in inertia)
+    if smallest < -INERTIA_TOLERANCE * largest or not middle > 0:
+        return f"{inertia_text} kg m² are not all above 0"
+    if largest > (smallest + middle) * (1 + INERTIA_TOLERANCE):
+        return f"of {inertia_text} kg m² one is above the sum of the others"
+    return ""

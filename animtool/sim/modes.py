@@ -20,7 +20,7 @@ def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
 
     ``modes``: angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
 
-    >>> from animtool.sim.integrators.table import find_integrator
+    >>> from animtool.sim.integrators.integrator import find_integrator
     >>> slow = np.array([[100.0, 0.0]])
     >>> round(allowed_step(find_integrator("symplectic_euler"), slow), 9)
     0.02

@@ -22,13 +22,11 @@ from animtool.formats.bvh.lines import HeaderLines, RowReader, RowSource
 from animtool.formats.bvh.plausibility import (
     MIN_BODY_JOINTS,
     ChannelRanges,
+    opposite_offset_warnings,
     radians_warning,
     stated_rate_note,
-    unused_positions_note,
-)
-from animtool.formats.bvh.suspicious import (
-    opposite_offset_warnings,
     swapped_root_warning,
+    unused_positions_note,
 )
 from animtool.maths.so3 import IDENTITY
 from animtool.motion.motion import Channel, Motion
@@ -262,7 +260,7 @@ def _read_blocks(
     rest_positions = rig.rest_translations[position_joints].ravel()
     previous_rotations: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
     rotation_columns = layout.rotation_columns
-    ranges = ChannelRanges(rotation_columns[rotation_columns >= 0])
+    ranges = ChannelRanges(rotation_columns[rotation_columns >= 0].astype(np.int64))
     for i, rows in enumerate(reader.blocks()):
         if i == 0:
             notices += swapped_root_warning(header, rows, rig, str(source.path))
