@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from collections.abc import Callable, Iterable, Mapping
 from enum import StrEnum
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 Check = Callable[[Any], Iterable[Fault]]
 PLUGIN_GROUP = "animtool.rules"
 _PAGES_FOLDER = Path(__file__).parents[1] / "docs" / "rules"
+MAX_FRONT_MATTER_BYTES = 4096
 _CODE_PATTERN = re.compile(r"[A-Z][A-Z0-9]{1,7}[0-9]{3}")
 
 
@@ -112,10 +114,13 @@ def page_text(code: str) -> str | None:
 def builtin_rules() -> Mapping[str, Rule]:
     """Return the rules declared in the front matter of rule pages, by code, sorted."""
     rules = []
-    for page_file in _PAGES_FOLDER.iterdir():
-        # For 800 files, text buffers and decoders would take half of the time.
-        with page_file.open("rb", buffering=0) as page:
-            rules.append(_parse_page(page.read().decode())[0])
+    with os.scandir(_PAGES_FOLDER) as entries:
+        for entry in entries:
+            # For 1000 files, paths, buffers and second reads would take half of the
+            # time.
+            with open(entry, "rb", buffering=0) as page:  # noqa: PTH123
+                head = page.read(MAX_FRONT_MATTER_BYTES).decode(errors="ignore")
+            rules.append(_parse_page(head)[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
 
 
