@@ -160,7 +160,7 @@ def _unit_hint(extent: float) -> str:
 
 
 def _build_rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
-    names = numbered_names(joint.name for joint in header.joints)
+    names = numbered_names([joint.name for joint in header.joints])
     joints = [
         _build_joint(joint, unique_name, unit.meters)
         for joint, unique_name in zip(header.joints, names, strict=True)

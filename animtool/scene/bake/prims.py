@@ -343,7 +343,7 @@ class BakePlan:
             meters_per_unit,
             up.value,
             size,
-            without_accepted(notices),
+            without_accepted(notices) if notices else [],
             shot=self.options.shot,
         )
 

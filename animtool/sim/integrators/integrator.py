@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from enum import StrEnum
 from typing import TypeAlias, cast
@@ -112,6 +113,27 @@ class Integrator:
         steps itself.
         """
         return None if self.limit is None else self.limit(omega, damping_ratio)
+
+
+def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
+    """Return the largest step that is stable for all modes [s].
+
+    ``modes``: angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
+
+    >>> import numpy as np
+    >>> slow = np.array([[100.0, 0.0]])
+    >>> round(allowed_step(find_integrator("symplectic_euler"), slow), 9)
+    0.02
+    """
+    oscillating_modes = modes[modes[:, 0] > 0].tolist()
+    steps = [
+        integrator.largest_step(omega, max(0.0, damping))
+        for omega, damping in oscillating_modes
+    ]
+    limits = [step for step in steps if step is not None]
+    if len(limits) < len(steps):
+        return None
+    return min(limits, default=math.inf)
 
 
 _PACKAGE = "animtool.sim.integrators"
