@@ -14,7 +14,7 @@ from animtool.motion.take import TakeStream
 from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, create_outline
-from animtool.scene.bake.plan import OutputPlan, plan_outputs
+from animtool.scene.bake.plan import plan_outputs
 from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, SourceSet
@@ -95,10 +95,23 @@ def bake_outputs(
 
 
 def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
-    """Plan and run the bake of an outline; see `bake_outputs`."""
+    """Plan and run the bake of an outline, atomically; see `bake_outputs`."""
+    reports: list[OutputReport] = []
     # Passes may save states as soon as a source is opened.
     with atomic_outputs():
-        return run_outputs(plan_outputs(outline, progress=progress), progress)
+        plans = plan_outputs(outline, progress=progress)
+        for i, plan in enumerate(plans):
+            reads_takes = not isinstance(plan, BakePlan) or bool(plan.takes)
+            output_progress = part_progress(progress, 1, 2) if reads_takes else progress
+            output_progress = part_progress(output_progress, i, len(plans))
+            with with_notices(plan.notices):
+                if isinstance(plan, BakePlan):
+                    reports.append(run_stage(plan, progress=output_progress))
+                else:
+                    reports.append(plan.run())
+            if output_progress is not None:
+                output_progress(1.0)
+    return reports
 
 
 def bake_take(
@@ -113,26 +126,6 @@ def bake_take(
     outline = replace(outline, source_set=source_set)
     (report,) = bake_outline(outline, progress=progress)
     return report
-
-
-def run_outputs(
-    plans: Sequence[OutputPlan], progress: Progress = None
-) -> list[OutputReport]:
-    """Run bake plans, atomically: read sources, author layers, write files."""
-    reports: list[OutputReport] = []
-    with atomic_outputs():
-        for i, plan in enumerate(plans):
-            reads_takes = not isinstance(plan, BakePlan) or bool(plan.takes)
-            output_progress = part_progress(progress, 1, 2) if reads_takes else progress
-            output_progress = part_progress(output_progress, i, len(plans))
-            with with_notices(plan.notices):
-                if isinstance(plan, BakePlan):
-                    reports.append(run_stage(plan, progress=output_progress))
-                else:
-                    reports.append(plan.run())
-            if output_progress is not None:
-                output_progress(1.0)
-    return reports
 
 
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
