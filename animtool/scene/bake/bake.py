@@ -130,6 +130,8 @@ def bake_take(
 
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Execute the plan of a bake to one USD file and return its report with timings."""
+    from animtool.usd.layers.sdf import save_layer
+
     start_time = time.perf_counter()
     baked_takes = [BakedTake(take, plan.recorder) for take in plan.takes]
     state = BakeState(plan, progress, baked_takes)
@@ -138,8 +140,12 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
         assert state.report is not None
         refuse_warnings(state.report.notices, strict=plan.options.strict)
     assert state.report is not None
+    assert state.write_files is not None
     author_seconds = time.perf_counter() - start_time
-    state.write()
+    frames = state.deferred_frames
+    state.write_files(save_layer if frames is None else frames.save)
+    if frames is not None:
+        frames.complete(state)
     total_seconds = time.perf_counter() - start_time
     read_seconds = sum(state.read_seconds)
     if not plan.takes:

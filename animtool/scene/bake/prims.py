@@ -383,17 +383,6 @@ class BakeState:
         default_factory=list
     )  # time to compute frames [s]
 
-    def write(self) -> None:
-        """Write all files and complete the report."""
-        from animtool.usd.layers.sdf import save_layer
-
-        assert self.write_files is not None
-        if self.deferred_frames is None:
-            self.write_files(save_layer)
-            return
-        self.write_files(self.deferred_frames.save)
-        self.deferred_frames.complete(self)
-
 
 class OutputPrims(Protocol):
     """Prims of one kind in a bake: joints, point caches or systems."""
