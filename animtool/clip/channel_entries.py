@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from animtool.clip.channels import ClipChannel
-from animtool.clip.plain_keys import PlainKeys
-from animtool.clip.schema import CurveModel, KeyModel, key_times
+from animtool.clip.schema import CurveModel, KeyModel, PlainKeys, key_times
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import counted
 from animtool.core.record import dataclass

@@ -21,8 +21,7 @@ from animtool.clip.channels import (
     unknown_targets,
 )
 from animtool.clip.clip import Clip
-from animtool.clip.plain_keys import PlainKeys
-from animtool.clip.schema import ChannelModel, ClipModel
+from animtool.clip.schema import ChannelModel, ClipModel, PlainKeys
 from animtool.clip.suspicions import warn_of_numbers
 from animtool.clip.suspicious_times import warn_of_times
 from animtool.core.arguments import argument, clause

@@ -15,7 +15,7 @@ from animtool.clip.channels import (
     evaluate_channels,
 )
 from animtool.clip.suspicious_positions import CheckedClip, warn_of_positions
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, distinct_values
 from animtool.core.errors import counted, listed
 from animtool.core.quantities import length_text, percent_hint
 from animtool.core.record import dataclass
@@ -421,7 +421,7 @@ def _warn_of_controls(clip: CheckedClip) -> None:
     indices = [i for i, c in enumerate(channels) if c.target.startswith("joint/")]
     if not controls or not indices:
         return
-    times = np.unique(np.concatenate([channel.times for channel in channels]))
+    times = distinct_values(np.concatenate([channel.times for channel in channels]))
     time_count = min(len(times), MAX_EVALUATED_TIMES)
     times = times[np.linspace(0, len(times) - 1, time_count).astype(int)]
     values_by_target = evaluate_channels(controls, times)

@@ -49,6 +49,35 @@ def _matches_shape(lengths: tuple[int, ...], shape: tuple[int | str, ...]) -> bo
     )
 
 
+def median(values: FloatArray) -> FloatArray:
+    """Return the median of each column of an array ``(N, ...)`` of one or more rows.
+
+    `numpy.median` does the same, but loads `numpy.ma`, which takes 7 ms.
+
+    >>> float(median(np.array([4.0, 1.0, 2.0, 9.0])))
+    3.0
+    """
+    sorted_values, middle = np.sort(values, axis=0), len(values) // 2
+    middles = sorted_values[middle - (len(values) % 2 == 0) : middle + 1]
+    last = sorted_values[-1]  # NaN is sorted last
+    medians: FloatArray = np.where(np.isnan(last), last, middles.mean(axis=0))
+    return medians
+
+
+def distinct_values(values: FloatArray) -> FloatArray:
+    """Return the different values of an array ``(N,)``, sorted.
+
+    `numpy.unique` does the same, but loads `numpy.ma`, as `numpy.median` does.
+
+    >>> distinct_values(np.array([2.0, 1.0, 2.0])).tolist()
+    [1.0, 2.0]
+    """
+    sorted_values = np.sort(values)
+    is_first = np.ones(len(values), bool)
+    is_first[1:] = sorted_values[1:] != sorted_values[:-1]
+    return sorted_values[is_first]
+
+
 def output_array(out: FloatArray | None, shape: tuple[int, ...]) -> FloatArray:
     """Return the caller's output array, or a new array of zeros.
 

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 from animtool.core.errors import AnimtoolError, Fault, Severity
 from animtool.core.names import DOCUMENT_FILE_SUFFIXES, name_hint
 from animtool.core.record import dataclass
-from animtool.core.rules import all_rules, current_codes
 
 if TYPE_CHECKING:
     from animtool.documents.document import Document
@@ -39,6 +38,8 @@ class IgnoreEntries:
 
     def entry_faults(self) -> Iterator[Fault]:
         """Yield faults in the entries; call this after all findings were matched."""
+        from animtool.core.rules import all_rules, current_codes
+
         rules, _ = all_rules()
         for i, entry in enumerate(_ignore_entries(self.document)):
             code = entry["code"]
@@ -56,6 +57,8 @@ class IgnoreEntries:
 
     def _match_entries(self, fault: Fault) -> bool:
         """Return whether any entry matches a finding; count every match."""
+        from animtool.core.rules import current_codes
+
         if fault.path != str(self.document.path):
             return False
         locations = self._location_variants(fault.where or "")

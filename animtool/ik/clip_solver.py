@@ -8,7 +8,6 @@ import numpy as np
 
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError
-from animtool.ik.arguments import checks_arguments
 from animtool.ik.branches import (
     EQUAL_COST_TOLERANCE,
     Interval,
@@ -24,7 +23,7 @@ from animtool.ik.nearest import frames_out_of_reach, with_nearest_poses
 from animtool.ik.path import find_clip_jumps, smooth, smoothing_faults
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult
-from animtool.ik.solving import check_fixed_joints
+from animtool.ik.solving import check_fixed_joints, checks_arguments
 
 # The first searched interval begins this long before a jump [s]; each next one is twice
 # as long.

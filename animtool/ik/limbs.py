@@ -241,3 +241,25 @@ def limb_arrays(limbs: Sequence[GoalLimb]) -> tuple[IntArray, FloatArray]:
     ]
     goals = np.array([limb.goal for limb in limbs], np.int64)
     return goals, np.array(rows, np.float64).reshape(-1, 7)
+
+
+def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
+    """Return the angle between two bones' directions, 0 where straight.
+
+    Args:
+        a: Length of the upper bone ``(B,)``.
+        b: Length of the lower bone ``(B,)``.
+        distance: Distance from root to tip, clamped to the reach.
+
+    >>> bend_angle(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
+    [0.0, 3.141593]
+    """
+    clamped_distance = np.clip(distance, np.abs(a - b), a + b)
+    # The half-angle form stays accurate at both ends.
+    squared_sine = (a + b - clamped_distance) * (a + b + clamped_distance)
+    squared_cosine = (clamped_distance - (a - b)) * (clamped_distance + (a - b))
+    half_angle_parts = (
+        np.sqrt(np.maximum(squared_sine, 0)),
+        np.sqrt(np.maximum(squared_cosine, 0)),
+    )
+    return np.asarray(2 * np.arctan2(*half_angle_parts))

@@ -18,7 +18,6 @@ from animtool.ik.goals import Goal, Targets
 from animtool.ik.limbs import limb_joints
 from animtool.ik.problem import find_moving_joints
 from animtool.ik.sub_rig import with_ball_joints
-from animtool.ik.two_bone import perpendicular_vectors
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms, rest_world
 from animtool.rig.parts import IkChain
@@ -209,3 +208,13 @@ def _nearest_known_frames(is_known: BoolArray) -> IntArray:
     """
     last_known = np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), -1))
     return np.where(last_known < 0, int(np.argmax(is_known)), last_known)
+
+
+def perpendicular_vectors(vectors: FloatArray) -> FloatArray:
+    """Return a unit vector perpendicular to each of the vectors ``(..., 3)``."""
+    smallest_axes = np.argmin(np.abs(vectors), axis=-1)
+    normals = np.cross(vectors, np.eye(3)[smallest_axes])
+    lengths = np.linalg.norm(normals, axis=-1, keepdims=True)
+    return np.where(
+        lengths > 0, normals / np.where(lengths > 0, lengths, 1.0), [1.0, 0.0, 0.0]
+    )

@@ -243,7 +243,7 @@ def find_jumping_frames(
     )
     goal_moves = goal_steps(problem, path.targets)
     jumps = _find_jumps(problem, coordinates, None, source_poses, goal_moves, fps)
-    return np.unique(np.array([jump.frame for jump in jumps], np.int64))
+    return np.array(sorted({jump.frame for jump in jumps}), np.int64)
 
 
 def _find_jumps(

@@ -9,11 +9,11 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
+from animtool.ik.chain import BALL, PIN, Chain
 from animtool.ik.limbs import limb_arrays
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.sub_rig import find_mimics
-from animtool.ik.two_bone import incompatibility
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.skeleton import Rig
 
@@ -44,6 +44,10 @@ KERNEL_METHODS = {
 CLOSED_FORM_METHODS = {IkMethod.AUTO, IkMethod.TWO_BONE}
 # Damping of the first step: far from the goals, and near them.
 COLD_DAMPING, WARM_DAMPING = 1e-3, 1e-6
+# Cosine below which a pin axis is perpendicular to a bone [1].
+PERPENDICULAR_COSINE = 1e-12
+# Lengths below this fraction of the limb's count as zero.
+ZERO_LENGTH = 1e-12
 
 
 class ClosedForm(IntEnum):
@@ -58,7 +62,7 @@ def closed_form(problem: Problem) -> ClosedForm:
     """Return the closed form of a problem, or NONE; the problem caches it."""
     if "closed" not in problem.solver_cache:
         arrays, form = problem.chain.kernel_arrays, ClosedForm.NONE
-        if incompatibility(problem) is None:
+        if two_bone_obstacle(problem) is None:
             form = ClosedForm.LIMB
         elif _kernels.arm_kind(*arrays, problem.rest_weight):
             form = ClosedForm.ARM
@@ -148,3 +152,47 @@ def _mimic_columns(
         np.array(columns, np.int64).reshape(-1, 2),
         np.array(gains_and_offsets, np.float64).reshape(-1, 2),
     )
+
+
+def two_bone_obstacle(problem: Problem) -> str | None:
+    """Return why the two-bone closed form does not apply; None if it does."""
+    nodes, goal = problem.chain.nodes, problem.goals[0]
+    if len(problem.goals) != 1:
+        return "the problem has more than one goal"
+    kinds = {kind.name for kind in goal.kinds}
+    if "position" not in kinds or not kinds <= {"position", "pole"}:
+        return "the goal is not a position, with or without a pole"
+    if problem.rest_weight > 0:
+        return "a pose is preferred"
+    # A ball at the root, and an independent joint below it.
+    if nodes[:, :2].tolist() != [[BALL, -1], [nodes[-1, 0], 0]] or nodes[1, 3]:
+        return "the joints that move are not a ball joint and a child of it"
+    return _joint_obstacle(problem.chain)
+
+
+def _joint_obstacle(chain: Chain) -> str | None:
+    """Return why the joints cannot bend and rotate the limb fully; None if they can."""
+    if not _is_unlimited(chain.node_numbers[0]):
+        return "its first joint has limits"
+    upper_bone = chain.node_numbers[1, 9:12]
+    lower_bone = chain.goal_numbers[0, :3] + chain.goal_numbers[0, 3:6]
+    if min(np.linalg.norm(upper_bone), np.linalg.norm(lower_bone)) < ZERO_LENGTH:
+        return "a bone has no length"
+    if chain.nodes[1, 0] == BALL:
+        is_limited = not _is_unlimited(chain.node_numbers[1])
+        return "its second joint is a ball with limits" if is_limited else None
+    axis = chain.node_numbers[1, :9].reshape(3, 3)[:, 2]
+    bone_along_axis = chain.goal_numbers[0, 2]
+    tool_along_axis = chain.goal_numbers[0, 5]
+    cosines = abs(axis @ upper_bone), abs(bone_along_axis), abs(tool_along_axis)
+    is_across = max(cosines) < PERPENDICULAR_COSINE
+    is_unscaled = chain.node_numbers[1, 12] == 1 and chain.node_numbers[1, 13] == 0
+    if chain.nodes[1, 0] == PIN and is_unscaled and is_across:
+        return None
+    return "its second joint does not rotate about an axis across both bones"
+
+
+def _is_unlimited(node_numbers: FloatArray) -> bool:
+    """Return whether the node numbers of a joint contain no limits."""
+    no_limits = np.array([np.inf, np.inf, -np.inf, np.inf])
+    return bool((node_numbers[14:18] == no_limits).all())

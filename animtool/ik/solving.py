@@ -2,26 +2,73 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import wraps
+from typing import ParamSpec, TypeVar
 
 import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, listed
-from animtool.ik.arguments import checks_arguments
+from animtool.core.loaded import check_loaded
 from animtool.ik.chain import joint_steps
 from animtool.ik.goals import Targets, pack
 from animtool.ik.options import IkMethod, IkOptions
 from animtool.ik.problem import Problem
 from animtool.ik.result import IkResult, IkStatus
-from animtool.ik.rig_solver import CLOSED_FORM_METHODS, KernelSolution, build_solver
+from animtool.ik.rig_solver import (
+    CLOSED_FORM_METHODS,
+    KernelSolution,
+    build_solver,
+    two_bone_obstacle,
+)
 from animtool.ik.sub_rig import with_mimics
-from animtool.ik.two_bone import incompatibility
 from animtool.rig.joints import coordinate_slices
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
+
+P = ParamSpec("P")
+Result = TypeVar("Result")
+
+
+def checks_arguments(
+    options_class: type,
+) -> Callable[[Callable[P, Result]], Callable[P, Result]]:
+    """Return a decorator that checks the types of problem, start, targets and options.
+
+    The functions raise `TypeError` for an argument of another kind, or in the place of
+    another.
+    """
+
+    def decorate(
+        function: Callable[P, Result],
+    ) -> Callable[P, Result]:
+        name = function.__name__
+
+        @wraps(function)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> Result:
+            names = ("problem", "start", "targets", "options")
+            values = dict(zip(names, args, strict=False)) | kwargs
+            if "problem" in values:
+                check_loaded(values["problem"], Problem, "problem")
+            if isinstance(values.get("start"), Targets):
+                message = f"start is Targets, not a pose; write {name}(problem, None, "
+                raise TypeError(f"{message}targets) to start at the rest pose")
+            if "targets" in values and "start" not in values:
+                message = f"{name}() has no start; write {name}(problem, None, targets)"
+                raise TypeError(f"{message} to start at the rest pose")
+            if "targets" in values:
+                check_loaded(values["targets"], Targets, "targets")
+            if values.get("options") is not None:
+                check_loaded(values["options"], options_class, "options")
+            return function(*args, **kwargs)
+
+        return checked
+
+    return decorate
+
 
 _KERNEL_STATUSES = (
     IkStatus.CONVERGED,
@@ -295,7 +342,7 @@ def _method_obstacle(problem: Problem, method: IkMethod) -> str | None:
     if method in {IkMethod.AUTO, IkMethod.DAMPED}:
         return None
     if method == IkMethod.TWO_BONE:
-        reason = incompatibility(problem)
+        reason = two_bone_obstacle(problem)
         return reason and f"does not apply: {reason}"
     simple_methods = {IkMethod.CCD, IkMethod.FABRIK}
     kinds = [kind for goal in problem.goals for kind in goal.kinds]

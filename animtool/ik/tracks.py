@@ -16,8 +16,7 @@ from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.ik.goals import GOAL_KINDS, Goal, GoalKind, Targets
-from animtool.ik.limbs import limb_joints
-from animtool.ik.two_bone import bend_angle
+from animtool.ik.limbs import bend_angle, limb_joints
 from animtool.ik.values import (
     ArrayRows,
     KeyedValue,

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool.core.array_types import BoolArray, FloatArray
+from animtool.core.array_types import BoolArray, FloatArray, median
 
 # Smaller deviations from the surrounding motion are not pops [rad].
 MIN_POP_ROTATION = math.radians(17.0)
@@ -56,9 +56,7 @@ def find_rotation_pops(
     )
     # If every second step is a flip, none exceeds its surrounding motion.
     is_flip = np.linalg.norm(rotations, axis=2) > FLIP_ANGLE
-    is_pop |= is_flip & (
-        deviations > MIN_POP_ROTATION + 2.0 * np.median(deviations, axis=0)
-    )
+    is_pop |= is_flip & (deviations > MIN_POP_ROTATION + 2.0 * median(deviations))
     return is_pop, deviations
 
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, median
 from animtool.core.clock import Clock
 from animtool.core.errors import Fault, warning
 from animtool.motion.keyed import WeightOption, key_arrays
@@ -34,7 +34,7 @@ def are_in_seconds(times: Sequence[FloatArray], fps: Fraction) -> bool:
     is_on_frame = np.abs(all_times - np.round(all_times)) <= ON_FRAME_TOLERANCE
     if not len(steps) or is_on_frame.all():
         return False
-    median_step = float(np.median(steps))
+    median_step = float(median(steps))
     if median_step < MAX_DENSE_STEP and len(steps) >= MIN_SAMPLES:
         return True
     # Several seconds from 0, keyed by hand; even steps are samples between frames.

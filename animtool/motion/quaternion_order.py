@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, median
 from animtool.core.errors import Fault, Severity
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -66,7 +66,7 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
 def _median_angle(rest_rotations: FloatArray, rotations: FloatArray) -> float:
     """Return the median over joints of their median angle from rest [rad]."""
     angles = so3.angle_between(rest_rotations[None], rotations)
-    return float(np.median(np.median(angles, axis=0)))
+    return float(median(median(angles)))
 
 
 ORDER_HINT = (

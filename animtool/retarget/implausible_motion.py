@@ -8,7 +8,7 @@ from fractions import Fraction
 import numpy as np
 
 from animtool.core.arguments import argument
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, median
 from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text
 from animtool.core.rates import is_common_rate, rate_label
@@ -65,7 +65,7 @@ def fast_motion_warning(
     hips = block.world(rig).positions[:, find_hips(rig)] * (PERSON_SIZE / size)
     changes = hips[2 * step :] - 2 * hips[step:-step] + hips[: -2 * step]
     seconds = float(step / rate)
-    acceleration = float(np.median(np.linalg.norm(changes, axis=1)))
+    acceleration = float(median(np.linalg.norm(changes, axis=1)))
     acceleration /= seconds**2 * GRAVITY
     if acceleration <= MAX_TYPICAL_ACCELERATION:
         return []
@@ -142,7 +142,7 @@ class GroundCheck:
         heights = np.concatenate(self._heights) if self._heights else np.zeros(0)
         if len(heights) < MIN_PLANTED_FEET or EXPLAINING_CODES & set(reported_codes):
             return []
-        offset, size = float(np.median(heights)), rest_size(self._rig)
+        offset, size = float(median(heights)), rest_size(self._rig)
         spread = np.percentile(heights, 95) - np.percentile(heights, 5)
         is_off = offset < -MAX_SUNK_DEPTH * size or offset > MAX_CLEARANCE * size
         if not is_off or spread > 2 * FLAT_TOLERANCE * size:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from animtool.core.array_types import FloatArray
+from animtool.core.array_types import FloatArray, median
 from animtool.core.errors import Fault, warning
 from animtool.core.quantities import length_text, plain_number, vector_text
 from animtool.core.units import unit_name
@@ -165,7 +165,7 @@ def _translation_problem(
     ``ratios`` ``(F, 3)`` are the translations over the leg length [m].
     """
     heights, up_name = ratios @ up, "XYZ"[int(up.argmax())]
-    height, legs_text = float(np.median(heights)), length_text(leg_length)
+    height, legs_text = float(median(heights)), length_text(leg_length)
     factor = height_factor(height)
     if factor is not None:
         message = f"is {length_text(height * leg_length)} above 0, but the legs are "
@@ -178,9 +178,9 @@ def _translation_problem(
     travel = float(np.ptp(heights))
     for axis in np.flatnonzero(up == 0) if travel >= MIN_VERTICAL_TRAVEL else ():
         # The other axis may point up or down.
-        median = float(np.median(ratios[:, axis]))
-        if _is_leg_length(math.copysign(1.0, median) * ratios[:, axis]):
-            distance = length_text(abs(median) * leg_length)
+        middle = float(median(ratios[:, axis]))
+        if _is_leg_length(math.copysign(1.0, middle) * ratios[:, axis]):
+            distance = length_text(abs(middle) * leg_length)
             message = f"travels {length_text(travel * leg_length)} along {up_name} and "
             message += f"stays {distance} from 0 along {'XYZ'[axis]}, about the length "
             message += "of the legs: its translations have another up axis than the "
@@ -219,7 +219,7 @@ def _low_root_problem(
 
     ``ratios`` ``(F,)`` are its heights over the leg length [1].
     """
-    ratio = float(np.median(ratios))
+    ratio = float(median(ratios))
     if len(ratios) < MIN_LOW_FRAMES or not 0.0 < ratio < MAX_LOW_RATIO:
         return None
     positions, up = motion.world(rig).positions, np.array(rig.up.vector, float)
@@ -237,7 +237,7 @@ def _low_root_problem(
 
 def _is_leg_length(ratios: FloatArray) -> bool:
     """Return whether values ``(F,)`` over the leg length stay close to 1."""
-    is_close = abs(float(np.median(ratios)) - 1.0) < HEIGHT_TOLERANCE
+    is_close = abs(float(median(ratios)) - 1.0) < HEIGHT_TOLERANCE
     return is_close and float(ratios.std()) < HEIGHT_DEVIATION
 
 

@@ -9,9 +9,9 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.rig.dependencies import dependency_order
 from animtool.rig.drivers import SLIDE, Driver, curve_values
 from animtool.rig.expressions import Expression
+from animtool.rig.parts import dependency_order
 
 
 @dataclass(frozen=True, slots=True)

@@ -6,7 +6,6 @@ from collections.abc import Iterator, Mapping
 
 from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
-from animtool.rig.dependencies import DependencyCycleError
 from animtool.rig.driver_plan import (
     coordinate_fault,
     driver_cycle_text,
@@ -16,6 +15,7 @@ from animtool.rig.drivers import Driver, split_coordinate
 from animtool.rig.expressions import parse_expression
 from animtool.rig.joint_schema import DrivenModel
 from animtool.rig.joints import DRIVEN_PARTS, split_part
+from animtool.rig.parts import DependencyCycleError
 from animtool.rig.schema import RigModel
 from animtool.rig.skeleton import Rig
 

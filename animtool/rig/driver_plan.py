@@ -9,7 +9,6 @@ import numpy as np
 from animtool.core.errors import Fault, OptionError, cycle_text
 from animtool.core.names import most_similar
 from animtool.core.record import dataclass
-from animtool.rig.dependencies import DependencyCycleError, dependency_order
 from animtool.rig.drivers import (
     ANGLE,
     SLIDE,
@@ -20,6 +19,7 @@ from animtool.rig.drivers import (
     split_coordinate,
 )
 from animtool.rig.limits import BallLimit
+from animtool.rig.parts import DependencyCycleError, dependency_order
 from animtool.rig.shapes import combination_order
 from animtool.rig.skeleton import Joint, JointType, Mimic, Rig
 

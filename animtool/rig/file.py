@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,7 +14,7 @@ from animtool.core.readers import DOCUMENT, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.check import validate_file
-from animtool.documents.document import Document, read_document
+from animtool.documents.document import Document, Location, read_document
 from animtool.documents.references import resolve_reference
 from animtool.rig.array_entries import ArrayReader
 from animtool.rig.driver_entries import DriverCheck
@@ -26,16 +26,14 @@ from animtool.rig.joint_entries import (
     unit_quaternion,
 )
 from animtool.rig.joint_schema import PoseModel
-from animtool.rig.mass_entries import read_masses
 from animtool.rig.part_entries import PartReader
-from animtool.rig.parts import Shape
-from animtool.rig.schema import RigModel
+from animtool.rig.parts import Mass, Shape, inertia_problem
+from animtool.rig.schema import MassModel, RigModel
 from animtool.rig.sides import ORIGIN, PoseArrays, mirror_pose, world_transform_below
 from animtool.rig.skeleton import Joint, Pose, Rig
 from animtool.rig.suspicions import warn_of_angles, warn_of_drives, warn_of_w_last
 from animtool.rig.suspicious_parts import warn_of_parts
 from animtool.rig.suspicious_shape import warn_of_shape
-from animtool.rig.suspicious_strands import warn_of_strands
 
 
 def read_bind_poses(
@@ -163,7 +161,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
         )
         chains = part_reader.read_chains(inherited_rig.chains)
         colliders = part_reader.read_colliders(inherited_rig.colliders)
-        masses = read_masses(
+        masses = _read_masses(
             document,
             model.masses,
             inherited_rig.masses,
@@ -204,8 +202,49 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     warn_of_shape(document, rig)
     warn_of_drives(document, rig)
     warn_of_parts(document, model, rig)
-    warn_of_strands(document, model, rig)
     return replace(rig, notices=(*rig.notices, *document.notices[notice_count:]))
+
+
+def _read_masses(
+    document: Document,
+    entries: Sequence[MassModel],
+    inherited_masses: Sequence[Mass],
+    length_unit: float,
+    check_joint: Callable[[Location, str], bool],
+) -> tuple[Mass, ...]:
+    """Return the masses of a file and of its base rig, and record faults.
+
+    Args:
+        document: Rig file.
+        entries: Mass entries of the file.
+        inherited_masses: Masses of the base rig.
+        length_unit: Length unit [m].
+        check_joint: Returns whether a joint exists, and records a fault otherwise.
+    """
+    listed_joints = {entry.joint for entry in entries}
+    masses = [mass for mass in inherited_masses if mass.joint not in listed_joints]
+    first_index_by_joint: dict[str, int] = {}
+    for i, entry in enumerate(entries):
+        location = ("masses", i)
+        check_joint((*location, "joint"), entry.joint)
+        if entry.joint in first_index_by_joint:
+            line = document.position(("masses", first_index_by_joint[entry.joint]))[0]
+            message = f"joint {entry.joint!r} has a mass twice"
+            document.add(
+                "RIG011", (*location, "joint"), message, f"first in line {line}"
+            )
+            continue
+        first_index_by_joint[entry.joint] = i
+        inertia = None
+        if entry.inertia is not None:
+            a, b, c = inertia = (entry.inertia[0], entry.inertia[1], entry.inertia[2])
+            if problem := inertia_problem([a, b, c]):
+                message = f"no body has such an inertia: {problem}"
+                document.add("RIG047", (*location, "inertia"), message)
+        axes = unit_quaternion(document, (*location, "axes"), entry.axes)
+        centre = scale_vector(entry.centre, length_unit)
+        masses.append(Mass(entry.joint, entry.mass, centre, inertia, axes))
+    return tuple(masses)
 
 
 def _merge_shapes(

@@ -13,7 +13,6 @@ from animtool.core.record import dataclass
 from animtool.documents.document import Document, Location
 from animtool.rig.array_entries import ArrayReader, AttachmentReader
 from animtool.rig.controls import Control, Drive, evaluation_order
-from animtool.rig.dependencies import DependencyCycleError
 from animtool.rig.driver_entries import (
     check_no_interpolation,
     read_driver,
@@ -28,6 +27,7 @@ from animtool.rig.parts import (
     Attachment,
     Capsule,
     Collider,
+    DependencyCycleError,
     IkChain,
     Inbetween,
     Mesh,

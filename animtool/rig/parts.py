@@ -1,14 +1,17 @@
-"""Parts of a rig: meshes, shapes, chains, attachments, colliders."""
+"""Parts of a rig: meshes, shapes, chains, attachments, colliders; their order."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from enum import StrEnum
+from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeAlias
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.errors import cycle_text
 from animtool.core.record import dataclass
 from animtool.documents.arrays import Archives, load_array
 
@@ -226,3 +229,48 @@ class Mass:
     centre: Vector = (0.0, 0.0, 0.0)
     inertia: Vector | None = None
     axes: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 1.0)
+
+
+# Rounding tolerance of the triangle inequality, as a fraction of the sum.
+INERTIA_TOLERANCE = 1e-3
+
+
+def inertia_problem(inertia: Sequence[float]) -> str:
+    """Return why moments of inertia are impossible; empty if valid.
+
+    >>> inertia_problem([1.0, 1.0, 2.0]), inertia_problem([1.0, 1.0, 3.0])
+    ('', 'of 1, 1, 3 kg m² one is above the sum of the others')
+    """
+    smallest, middle, largest = sorted(inertia)
+    inertia_text = ", ".join(f"{value:.3g}" for value in inertia)
+    if smallest < -INERTIA_TOLERANCE * largest or not middle > 0:
+        return f"{inertia_text} kg m² are not all above 0"
+    if largest > (smallest + middle) * (1 + INERTIA_TOLERANCE):
+        return f"of {inertia_text} kg m² one is above the sum of the others"
+    return ""
+
+
+class DependencyCycleError(ValueError):
+    """Parts of a rig depend on each other in a cycle.
+
+    Attributes:
+        cycle: Names of the parts, each depending on the next; the first one again at
+            the end.
+    """
+
+    def __init__(self, cycle: list[str]) -> None:
+        self.cycle = cycle
+        super().__init__(cycle_text(cycle))
+
+
+def dependency_order(dependencies_by_name: Mapping[str, Iterable[str]]) -> list[str]:
+    """Return names in dependency order: each after those that it depends on.
+
+    >>> dependency_order({"both": ["smile", "jaw"]})
+    ['smile', 'jaw', 'both']
+    """
+    try:
+        return list(TopologicalSorter(dependencies_by_name).static_order())
+    except CycleError as error:
+        # The sorter names each part before those that need it; reverse that.
+        raise DependencyCycleError(list(reversed(error.args[1]))) from error

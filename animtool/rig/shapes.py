@@ -10,8 +10,7 @@ import re
 from collections.abc import Mapping, Sequence
 
 from animtool.core.array_types import FloatArray
-from animtool.rig.dependencies import dependency_order
-from animtool.rig.parts import Shape
+from animtool.rig.parts import Shape, dependency_order
 
 _SIDED_NAMES = """
 browDown browOuterUp cheekSquint eyeBlink eyeLookDown eyeLookIn eyeLookOut eyeLookUp

@@ -8,9 +8,9 @@ from animtool.core.plugins import lazy_names
 
 if TYPE_CHECKING:
     from animtool.sim.integrating import integrate as integrate
+    from animtool.sim.integrators.integrator import INTEGRATORS as INTEGRATORS
     from animtool.sim.integrators.integrator import Integrator as Integrator
-    from animtool.sim.integrators.table import INTEGRATORS as INTEGRATORS
-    from animtool.sim.integrators.table import find_integrator as find_integrator
+    from animtool.sim.integrators.integrator import find_integrator as find_integrator
     from animtool.sim.options import IntegrateOptions as IntegrateOptions
     from animtool.sim.system import Energy as Energy
     from animtool.sim.system import FirstOrder as FirstOrder
@@ -25,8 +25,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "integrating": ("integrate",),
-    "integrators.integrator": ("Integrator",),
-    "integrators.table": ("INTEGRATORS", "find_integrator"),
+    "integrators.integrator": ("INTEGRATORS", "Integrator", "find_integrator"),
     "options": ("IntegrateOptions",),
     "system": (
         *("Energy", "FirstOrder", "ForceSystem", "RateSystem", "SecondOrder", "System"),

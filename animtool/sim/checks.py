@@ -11,8 +11,12 @@ from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, warning
 from animtool.core.quantities import MIN_SUSPECT_STEP, plain_number, step_hint
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import EquationForm, Integrator, StepControl
-from animtool.sim.modes import allowed_step
+from animtool.sim.integrators.integrator import (
+    EquationForm,
+    Integrator,
+    StepControl,
+    allowed_step,
+)
 from animtool.sim.options import IntegrateOptions
 from animtool.sim.run import step_grid
 from animtool.sim.system import Energy, System

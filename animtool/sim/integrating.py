@@ -19,8 +19,8 @@ from animtool.sim.checks import (
     stop_warning,
 )
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import StepControl
-from animtool.sim.modes import allowed_step, modes_at
+from animtool.sim.integrators.integrator import StepControl, allowed_step
+from animtool.sim.modes import modes_at
 from animtool.sim.options import IntegrateOptions, checked_integrator, finer_options
 from animtool.sim.run import IntegrationRun, advance_evenly
 from animtool.sim.system import FirstOrder, SecondOrder

@@ -1,39 +1,15 @@
-"""Fastest modes of a system, and the step sizes they allow."""
+"""Fastest modes of a system, which limit its steps."""
 
 from __future__ import annotations
-
-import math
 
 import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Integrator
 from animtool.sim.newton import finite_differences
 
 # The largest number of state components for finite-difference Jacobians.
 MAX_STATE_SIZE = 240
-
-
-def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
-    """Return the largest step that is stable for all modes [s].
-
-    ``modes``: angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
-
-    >>> from animtool.sim.integrators.table import find_integrator
-    >>> slow = np.array([[100.0, 0.0]])
-    >>> round(allowed_step(find_integrator("symplectic_euler"), slow), 9)
-    0.02
-    """
-    oscillating_modes = modes[modes[:, 0] > 0].tolist()
-    steps = [
-        integrator.largest_step(omega, max(0.0, damping_ratio))
-        for omega, damping_ratio in oscillating_modes
-    ]
-    limits = [step for step in steps if step is not None]
-    if len(limits) < len(steps):
-        return None
-    return min(limits, default=math.inf)
 
 
 def modes_at(equations: Equations, t: float, state: FloatArray) -> FloatArray | None:

@@ -8,8 +8,7 @@ from typing import Annotated
 from animtool.core.errors import Fault, OptionError
 from animtool.core.options import above, at_least, range_faults
 from animtool.core.record import dataclass
-from animtool.sim.integrators.integrator import Integrator, StepControl
-from animtool.sim.integrators.table import find_integrator
+from animtool.sim.integrators.integrator import Integrator, StepControl, find_integrator
 
 # Default tolerance of adaptive methods.
 DEFAULT_TOLERANCE = 1e-6

@@ -14,7 +14,7 @@ from animtool.core.errors import OptionError
 from animtool.scene.file.read import load_scene
 from animtool.scene.tables.simulation import has_simulation
 from animtool.scene.tables.tradeoffs import simulation_tradeoffs
-from animtool.sim.integrators.table import INTEGRATORS
+from animtool.sim.integrators.integrator import INTEGRATORS
 
 SCENE = """\
 scene: animtool/1

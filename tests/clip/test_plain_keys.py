@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from animtool.clip.file import load_clip_of
-from animtool.clip.plain_keys import PlainKeys
+from animtool.clip.schema import PlainKeys
 from animtool.core.errors import FormatError
 from animtool.rig.skeleton import Joint, JointType, Rig
 

@@ -28,13 +28,18 @@ from animtool.ik.goals import (
     targets_of_frames,
 )
 from animtool.ik.jumps import Jump
-from animtool.ik.limbs import limb_joints
+from animtool.ik.limbs import bend_angle, limb_joints
 from animtool.ik.match_take import (
     _joints_off_rest,
     match_chains,
     untracked_motion_notices,
 )
-from animtool.ik.matching import _BendingLimb, _normalize, _pole_positions
+from animtool.ik.matching import (
+    _BendingLimb,
+    _normalize,
+    _pole_positions,
+    perpendicular_vectors,
+)
 from animtool.ik.nearest import (
     _joint_limit_poses,
     _replace_rows,
@@ -53,8 +58,8 @@ from animtool.ik.report import (
     take_notices,
 )
 from animtool.ik.result import IkResult
+from animtool.ik.rig_solver import two_bone_obstacle
 from animtool.ik.tracks import FreeEffector, GoalTrack, TargetTracks, swing_towards
-from animtool.ik.two_bone import bend_angle, incompatibility, perpendicular_vectors
 from animtool.ik.values import (
     ArrayRows,
     ConstantValue,
@@ -415,12 +420,12 @@ def test_angles_of_two_bones() -> None:
 )  # fmt: skip
 def test_a_limb_of_two_bones_has_one_position(goal: Any, fits: bool) -> None:
     own = Goal("elbow", (0.27, 0.0, 0.0), **goal)
-    assert (incompatibility(build(limb(), [own])) is None) is fits
+    assert (two_bone_obstacle(build(limb(), [own])) is None) is fits
     bent = limb()
     limited = replace(bent.joints[1], limits=RangeLimit(-1.0, 1.0))
     held_ = replace(bent, joints=(bent.joints[0], limited))
-    assert incompatibility(build(held_, [Goal("elbow", (0.27, 0.0, 0.0))])) is None
-    assert incompatibility(build(bent, [Goal("elbow", (0.27, 0.0, 0.1))]))
+    assert two_bone_obstacle(build(held_, [Goal("elbow", (0.27, 0.0, 0.0))])) is None
+    assert two_bone_obstacle(build(bent, [Goal("elbow", (0.27, 0.0, 0.1))]))
 
 
 def test_poles_stand_half_a_limb_off_its_line() -> None:

@@ -13,7 +13,7 @@ from support.suite import examples
 
 from animtool.ik import Goal, IkMethod, IkOptions, IkStatus, Targets, build, solve
 from animtool.ik.goals import GOAL_KINDS
-from animtool.ik.two_bone import incompatibility
+from animtool.ik.rig_solver import two_bone_obstacle
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
 from animtool.rig.skeleton import JointType, Rig
@@ -31,7 +31,7 @@ def with_elbow(**changes: object) -> Rig:
 @given(SEEDS, st.sampled_from([JointType.PIN, JointType.BALL]))
 def test_points_in_reach_are_reached_to_rounding(seed: int, kind: JointType) -> None:
     problem = build(with_elbow(type=kind), [replace(GOAL, pole=1.0)])
-    assert incompatibility(problem) is None
+    assert two_bone_obstacle(problem) is None
     start, wanted = random_pose(problem, seed), random_pose(problem, seed ^ 1)
     result = solve(problem, start, reached_by(problem, wanted))
     assert result.positions.max() < 1e-12
@@ -72,7 +72,7 @@ def test_the_elbow_keeps_its_limits_and_what_they_forbid_is_solved_by_steps() ->
     ],
 )
 def test_other_problems_do_not_fit(problem: object) -> None:
-    assert incompatibility(problem) is not None  # type: ignore[arg-type]
+    assert two_bone_obstacle(problem) is not None  # type: ignore[arg-type]
 
 
 def test_the_start_decides_the_side_and_the_way_it_turns() -> None:

@@ -12,8 +12,8 @@ from animtool.rig.controls import (
     evaluate_controls,
     evaluation_order,
 )
-from animtool.rig.dependencies import DependencyCycleError
 from animtool.rig.expressions import parse_expression
+from animtool.rig.parts import DependencyCycleError
 
 
 def drive(target: str, text: str, unit: float = 1.0) -> Drive:

@@ -10,7 +10,8 @@ from support.motions import oscillator
 
 from animtool.sim import find_integrator
 from animtool.sim.equations import Equations
-from animtool.sim.modes import allowed_step, modes_at
+from animtool.sim.integrators.integrator import allowed_step
+from animtool.sim.modes import modes_at
 from animtool.sim.stability import rate_limit
 
 RK4 = (1, 1, 1 / 2, 1 / 6, 1 / 24)

@@ -1,4 +1,4 @@
-"""Modules that a command runs, and pairs of them that call each other both ways.
+"""Modules that a command runs, in order, and pairs that call each other both ways.
 
 python -m support.modules_run bake samples/walk/walk.bvh -o /tmp/walk.usdc
 """
@@ -18,7 +18,7 @@ class Calls:
     """Counts calls between modules of animtool."""
 
     def __init__(self) -> None:
-        self.modules: set[str] = set()
+        self.modules: dict[str, str] = {}  # first function called, by module
         self.calls: set[tuple[str, str]] = set()
 
     def __call__(self, frame: FrameType, event: str, _: object) -> None:
@@ -38,7 +38,7 @@ class Calls:
         is_comprehension = frame.f_code.co_name in COMPREHENSIONS
         if is_comprehension and caller and not caller.f_code.co_flags & FUNCTION:
             return
-        self.modules.add(name)
+        self.modules.setdefault(name, frame.f_code.co_name)
         while caller is not None:
             other = caller.f_globals.get("__name__", "")
             if other.startswith("animtool"):
@@ -73,4 +73,5 @@ if __name__ == "__main__":
     found = counted(sys.argv[1:])
     pairs = [" ".join(pair) for pair in found.both_ways]
     head = f"{len(found.modules)} modules, {len(pairs)} pairs both ways"
-    sys.stdout.write("\n".join([head, *pairs, ""]))
+    modules = [f"{name}: {function}" for name, function in found.modules.items()]
+    sys.stdout.write("\n".join([head, *pairs, "", *modules, ""]))

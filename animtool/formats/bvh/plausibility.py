@@ -1,4 +1,4 @@
-"""Detects implausible rates, rotations and options of a BVH file."""
+"""Detects implausible rates, rotations, root channels and offsets of a BVH file."""
 
 from __future__ import annotations
 

@@ -166,7 +166,7 @@ def _unit_hint(extent: float) -> str:
 
 
 def _build_rig(header: BvhHeader, name: str, unit: LengthUnit, up: UpAxis) -> Rig:
-    names = numbered_names(joint.name for joint in header.joints)
+    names = numbered_names([joint.name for joint in header.joints])
     joints = [
         _build_joint(joint, unique_name, unit.meters)
         for joint, unique_name in zip(header.joints, names, strict=True)
@@ -272,7 +272,7 @@ def _read_blocks(
     rest_positions = rig.rest_translations[position_joints].ravel()
     previous_rotations: FloatArray = np.tile(IDENTITY, (len(rotation_joints), 1))
     rotation_columns = layout.rotation_columns
-    ranges = ChannelRanges(np.unique(rotation_columns[rotation_columns >= 0]))
+    ranges = ChannelRanges(rotation_columns[rotation_columns >= 0].astype(np.int64))
     for i, rows in enumerate(reader.blocks()):
         if i == 0:
             notices += swapped_root_warning(header, rows, rig, path)

@@ -14,8 +14,7 @@ from animtool.formats.robots.parts import (
     float_vector,
 )
 from animtool.maths import so3
-from animtool.rig.mass_entries import inertia_problem
-from animtool.rig.parts import Capsule, Mass, Vector
+from animtool.rig.parts import Capsule, Mass, Vector, inertia_problem
 
 
 def build_capsule(solid: SimpleShape, link_offset: Vector) -> tuple[Capsule, float]:

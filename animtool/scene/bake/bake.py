@@ -14,7 +14,7 @@ from animtool.motion.take import TakeStream
 from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.options import BakeOptions
 from animtool.scene.bake.outline import Outline, create_outline
-from animtool.scene.bake.plan import OutputPlan, plan_outputs
+from animtool.scene.bake.plan import plan_outputs
 from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, SourceSet
@@ -95,10 +95,23 @@ def bake_outputs(
 
 
 def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
-    """Plan and run the bake of an outline; see `bake_outputs`."""
+    """Plan and run the bake of an outline, atomically; see `bake_outputs`."""
+    reports: list[OutputReport] = []
     # Passes may save states as soon as a source is opened.
     with atomic_outputs():
-        return run_outputs(plan_outputs(outline, progress=progress), progress)
+        plans = plan_outputs(outline, progress=progress)
+        for i, plan in enumerate(plans):
+            reads_takes = not isinstance(plan, BakePlan) or bool(plan.takes)
+            output_progress = part_progress(progress, 1, 2) if reads_takes else progress
+            output_progress = part_progress(output_progress, i, len(plans))
+            with with_notices(plan.notices):
+                if isinstance(plan, BakePlan):
+                    reports.append(run_stage(plan, progress=output_progress))
+                else:
+                    reports.append(plan.run())
+            if output_progress is not None:
+                output_progress(1.0)
+    return reports
 
 
 def bake_take(
@@ -115,28 +128,10 @@ def bake_take(
     return report
 
 
-def run_outputs(
-    plans: Sequence[OutputPlan], progress: Progress = None
-) -> list[OutputReport]:
-    """Run bake plans, atomically: read sources, author layers, write files."""
-    reports: list[OutputReport] = []
-    with atomic_outputs():
-        for i, plan in enumerate(plans):
-            reads_takes = not isinstance(plan, BakePlan) or bool(plan.takes)
-            output_progress = part_progress(progress, 1, 2) if reads_takes else progress
-            output_progress = part_progress(output_progress, i, len(plans))
-            with with_notices(plan.notices):
-                if isinstance(plan, BakePlan):
-                    reports.append(run_stage(plan, progress=output_progress))
-                else:
-                    reports.append(plan.run())
-            if output_progress is not None:
-                output_progress(1.0)
-    return reports
-
-
 def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
     """Execute the plan of a bake to one USD file and return its report with timings."""
+    from animtool.usd.layers.sdf import save_layer
+
     start_time = time.perf_counter()
     baked_takes = [BakedTake(take, plan.recorder) for take in plan.takes]
     state = BakeState(plan, progress, baked_takes)
@@ -145,8 +140,12 @@ def run_stage(plan: BakePlan, *, progress: Progress = None) -> BakeReport:
         assert state.report is not None
         refuse_warnings(state.report.notices, strict=plan.options.strict)
     assert state.report is not None
+    assert state.write_files is not None
     author_seconds = time.perf_counter() - start_time
-    state.write()
+    frames = state.deferred_frames
+    state.write_files(save_layer if frames is None else frames.save)
+    if frames is not None:
+        frames.complete(state)
     total_seconds = time.perf_counter() - start_time
     read_seconds = sum(state.read_seconds)
     if not plan.takes:

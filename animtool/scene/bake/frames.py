@@ -19,7 +19,6 @@ from animtool.core.errors import Fault, OptionError, Severity, warning
 from animtool.core.rates import rate_warning
 from animtool.core.record import dataclass
 from animtool.core.shot import FrameRange, Shot, frame_spans
-from animtool.documents.document import with_position
 from animtool.edit.between import TakeSampler
 from animtool.edit.resample import (
     SampleTimes,
@@ -196,6 +195,8 @@ def _missing_frames(plan: TakePlan, shot: Shot, clock: Clock) -> list[Fault]:
     ]
     if not missing_frames:
         return []
+    from animtool.documents.document import with_position
+
     prefix = f"shot {shot.name}: " if shot.name else ""
     hint = f"the take has {float(plan.start):.7g} to {float(last):.7g}"
     if len(missing_frames) == len(requested_frames):

@@ -6,12 +6,12 @@ from collections.abc import Generator
 from contextlib import closing
 from dataclasses import replace
 from fractions import Fraction
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool.core.errors import warning
-from animtool.core.record import dataclass
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Motion, TimedBlocks
 from animtool.rig.kinematics import rest_size
@@ -20,16 +20,15 @@ from animtool.scene.bake.frames import BakedTake, TakePlan, moving_joints
 from animtool.scene.bake.prims import (
     BakePlan,
     BakeState,
-    SaveLayer,
     TakeReport,
     take_report,
 )
 from animtool.scene.bake.progress import prefetch, timed_items
 from animtool.scene.sources.open import source_stem
-from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdResult, UsdTake, WrittenTake
+from animtool.usd.layers.jobs import LayerForm, UsdJob, UsdTake, WrittenTake
 from animtool.usd.layers.names import UsdNames, joint_names
 from animtool.usd.rigs.skeleton import build_rest_metadata
-from animtool.usd.takes.author import AuthoredLayers, author, write_usd
+from animtool.usd.takes.author import author, write_usd
 from animtool.usd.takes.joint_writer import round_blocks
 
 if TYPE_CHECKING:
@@ -55,7 +54,7 @@ class JointPrims:
         notices = [notice for take in plan.takes for notice in take.stream.notices]
         notices += plan.notices + job.names.notices + result.notices
         state.layer = authored_layers.animation
-        state.files = JointFiles(job, authored_layers, result)
+        state.write_files = partial(write_usd, job, authored_layers, result)
         state.read_seconds += [take.seconds["read"] for take in takes]
         written_takes = zip(takes, result.takes, strict=True)
         state.report = plan.report(
@@ -67,19 +66,6 @@ class JointPrims:
             meters_per_unit=job.meters_per_unit,
             up=job.rig.up,
         )
-
-
-@dataclass(frozen=True, slots=True)
-class JointFiles:
-    """The authored layers of takes that are written as joints."""
-
-    job: UsdJob
-    authored_layers: AuthoredLayers
-    result: UsdResult
-
-    def write(self, save: SaveLayer) -> None:
-        """Write all layers; the layer that refers to the other layers is last."""
-        write_usd(self.job, self.authored_layers, self.result, save)
 
 
 def _usd_job(plan: BakePlan, rest_rig: Rig) -> UsdJob:

@@ -7,6 +7,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import closing
 from dataclasses import field
 from fractions import Fraction
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -25,8 +26,8 @@ from animtool.scene.bake.prims import (
     BakeState,
     MeshReport,
     SaveLayer,
-    SingleFile,
     take_report,
+    write_single_file,
 )
 from animtool.scene.bake.progress import prefetch
 from animtool.skin.character import CharacterMesh
@@ -201,12 +202,14 @@ class PointPrims:
             if plan.options.chunk is None:
                 layer, meshes = author_cache(job, blocks)
                 result = _usd_result(layer, meshes, baked_take)
-                state.files = SingleFile(layer, plan.output, result)
+                state.write_files = partial(
+                    write_single_file, layer, plan.output, result
+                )
             else:
                 cache = write_chunks(job, blocks, plan.options.chunk)
                 layer, meshes = cache.layer, cache.reports
                 result = _usd_result(layer, meshes, baked_take)
-                state.files = ChunkFiles(cache, result)
+                state.write_files = partial(_write_chunk_files, cache, result)
         state.layer = layer
         if baked_take.props is not None:
             up = character.rig.up
@@ -241,17 +244,10 @@ class PointPrims:
         )
 
 
-@dataclass(frozen=True, slots=True)
-class ChunkFiles:
-    """A layer whose points are stored in chunk files."""
-
-    cache: ChunkedCache
-    result: UsdResult
-
-    def write(self, save: SaveLayer) -> None:
-        """Write the manifest of the chunks, and the layer that refers to them."""
-        self.result.outputs += self.cache.finish(save)
-        self.result.bytes = sum(map(written_size, self.result.outputs))
+def _write_chunk_files(cache: ChunkedCache, result: UsdResult, save: SaveLayer) -> None:
+    """Write the manifest of the chunks, and the layer that refers to them."""
+    result.outputs += cache.finish(save)
+    result.bytes = sum(map(written_size, result.outputs))
 
 
 def _author_props(

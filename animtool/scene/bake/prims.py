@@ -344,30 +344,17 @@ class BakePlan:
             meters_per_unit,
             up.value,
             size,
-            without_accepted(notices),
+            without_accepted(notices) if notices else [],
             shot=self.options.shot,
         )
 
 
-class OutputFiles(Protocol):
-    """Authored files of a bake that are not written yet."""
-
-    def write(self, save: SaveLayer) -> None:
-        """Write the files; ``save`` writes the animation layer."""
-
-
-@dataclass(frozen=True, slots=True)
-class SingleFile:
-    """A layer that is the only file of a bake."""
-
-    layer: Any
-    output: Path  # the file, or `STDOUT`
-    result: UsdResult
-
-    def write(self, save: SaveLayer) -> None:
-        """Write the layer."""
-        self.result.bytes = save(self.layer, self.output)
-        self.result.outputs += [] if self.output == STDOUT else [self.output]
+def write_single_file(
+    layer: Any, output: Path, result: UsdResult, save: SaveLayer
+) -> None:
+    """Write a layer that is the only file of a bake; the output may be `STDOUT`."""
+    result.bytes = save(layer, output)
+    result.outputs += [] if output == STDOUT else [output]
 
 
 class DeferredFrames(Protocol):
@@ -389,23 +376,13 @@ class BakeState:
     baked_takes: list[BakedTake]
     # None until the first prims create it.
     layer: Any = None
-    files: OutputFiles | None = None
+    # Writes the authored files; the argument writes the animation layer.
+    write_files: Callable[[SaveLayer], None] | None = None
     report: BakeReport | None = None
     deferred_frames: DeferredFrames | None = None  # frames of systems
     read_seconds: list[float] = field(
         default_factory=list
     )  # time to compute frames [s]
-
-    def write(self) -> None:
-        """Write all files and complete the report."""
-        from animtool.usd.layers.sdf import save_layer
-
-        assert self.files is not None
-        if self.deferred_frames is None:
-            self.files.write(save_layer)
-            return
-        self.files.write(self.deferred_frames.save)
-        self.deferred_frames.complete(self)
 
 
 class OutputPrims(Protocol):

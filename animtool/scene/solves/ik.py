@@ -308,7 +308,7 @@ def _solve(job: IkJob, progress: Progress) -> IkReport:
         *crossed_notices(solution),
         *jump_notices(solution),
     ]
-    notices = without_accepted(notices)
+    notices = without_accepted(notices) if notices else []
     report = IkReport(solution, goals, [*notices, *missed_goal_notices], seconds)
     if job.bake.strict and missed_goal_notices:
         raise MissedGoalsError(missed_goal_notices, report)

@@ -27,7 +27,12 @@ from animtool.core.shot import FrameRange
 from animtool.core.units import UpAxis
 from animtool.documents.ignore import without_accepted
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.prims import BakePlan, BakeState, SingleFile, TakeReport
+from animtool.scene.bake.prims import (
+    BakePlan,
+    BakeState,
+    TakeReport,
+    write_single_file,
+)
 from animtool.scene.scene import DEFAULT_FPS, Scene
 from animtool.scene.sources.open import source_stem
 from animtool.scene.systems.character_motion import CharacterRecorder
@@ -124,7 +129,8 @@ class SystemPrims:
         sample_count = len(self.codes)
         take = WrittenTake("", metadata.span, samples=sample_count)
         result = UsdResult(layer_span(layer), takes=[take])
-        state.layer, state.files = layer, SingleFile(layer, plan.output, result)
+        state.layer = layer
+        state.write_files = partial(write_single_file, layer, plan.output, result)
         report = TakeReport(self.scene.path, take, sample_count, metadata.span.fps, "")
         state.report = plan.report(
             [report],

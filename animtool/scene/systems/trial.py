@@ -23,8 +23,11 @@ from animtool.scene.systems.simulation import (
     located_systems,
     run_entries,
 )
-from animtool.sim.integrators.integrator import StepControl
-from animtool.sim.integrators.table import INTEGRATORS, find_integrator
+from animtool.sim.integrators.integrator import (
+    INTEGRATORS,
+    StepControl,
+    find_integrator,
+)
 from animtool.sim.options import DEFAULT_TOLERANCE
 from animtool.sim.trajectory import Status
 from animtool.sim.trials.trial import (

@@ -1,12 +1,15 @@
-"""An entry of the table of integrators."""
+"""The table of integrators, imported when first used, and its entries."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from enum import StrEnum
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from animtool.core.array_types import FloatArray
+from animtool.core.names import check_known_name
+from animtool.core.plugins import load_object
 from animtool.core.record import dataclass
 from animtool.sim.equations import Equations
 from animtool.sim.stability import Limit
@@ -110,3 +113,63 @@ class Integrator:
         steps itself.
         """
         return None if self.limit is None else self.limit(omega, damping_ratio)
+
+
+def allowed_step(integrator: Integrator, modes: FloatArray) -> float | None:
+    """Return the largest step that is stable for all modes [s].
+
+    ``modes``: angular frequencies [rad/s] and damping ratios [1] ``(M, 2)``.
+
+    >>> import numpy as np
+    >>> slow = np.array([[100.0, 0.0]])
+    >>> round(allowed_step(find_integrator("symplectic_euler"), slow), 9)
+    0.02
+    """
+    oscillating_modes = modes[modes[:, 0] > 0].tolist()
+    steps = [
+        integrator.largest_step(omega, max(0.0, damping))
+        for omega, damping in oscillating_modes
+    ]
+    limits = [step for step in steps if step is not None]
+    if len(limits) < len(steps):
+        return None
+    return min(limits, default=math.inf)
+
+
+_PACKAGE = "animtool.sim.integrators"
+# Modules of the integrators, sorted from simple to complex.
+_MODULE_BY_NAME = {
+    "euler": "explicit",
+    "modified_euler": "explicit",
+    "midpoint": "explicit",
+    "heun": "explicit",
+    "symplectic_euler": "symplectic",
+    "velocity_verlet": "symplectic",
+    "position_verlet": "symplectic",
+    "rk4": "explicit",
+    "adaptive_doubling": "adaptive",
+    "rk45": "adaptive",
+    "implicit_euler": "implicit",
+    "trapezoid": "implicit",
+    "bdf2": "implicit",
+    "dop853": "adaptive",
+    "lsoda": "adaptive",
+    "radau": "adaptive",
+}
+INTEGRATORS: dict[str, str] = {
+    name: f"{_PACKAGE}.{family}:{name.upper()}"
+    for name, family in _MODULE_BY_NAME.items()
+}
+
+
+def find_integrator(name: str) -> Integrator:
+    """Return an integrator by name.
+
+    Raises:
+        OptionError: The integrator is unknown (SIM001).
+
+    >>> find_integrator("rk4").order
+    4
+    """
+    check_known_name(name, INTEGRATORS, "integrator", "SIM001")
+    return cast(Integrator, load_object(INTEGRATORS[name]))

@@ -13,6 +13,7 @@ from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, ToleranceError
 from animtool.core.record import dataclass
 from animtool.maths import so3
+from animtool.motion.frames import MAX_FRAME_VALUE
 from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders, Sheet
 from animtool.systems.attach.bodies import (
@@ -30,7 +31,6 @@ from animtool.systems.attach.colliders import (
 from animtool.systems.attach.poses import LocalPose, interpolate_poses
 from animtool.systems.attach.settings import AttachSettings, SimulateOptions
 from animtool.systems.attach.skins import FramePoses, SkinSurface, skin_margin
-from animtool.systems.framework.bounds import MAX_FRAME_VALUE
 from animtool.systems.framework.meter import ContactMeter, MeasuredSurface
 from animtool.systems.springs.body import TargetSprings
 from animtool.systems.springs.checks import tangle_notices

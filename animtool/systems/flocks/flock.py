@@ -17,8 +17,7 @@ from animtool.sim.checks import check_supported
 from animtool.sim.colliders import Box, Collider, Colliders, Poses
 from animtool.sim.colliders.colliding import collide
 from animtool.sim.equations import Equations
-from animtool.sim.integrators.integrator import Integrator, StepControl
-from animtool.sim.modes import allowed_step
+from animtool.sim.integrators.integrator import Integrator, StepControl, allowed_step
 from animtool.sim.options import IntegrateOptions, checked_integrator
 from animtool.sim.system import SecondOrder
 from animtool.systems.flocks.members import Members, key_problems

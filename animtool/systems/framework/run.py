@@ -9,11 +9,10 @@ from typing import Any, Generic, TypeVar
 
 from animtool.core.errors import Fault, OptionError
 from animtool.core.record import dataclass
-from animtool.motion.frames import Frame
+from animtool.motion.frames import Frame, check_bounds, check_finite
 from animtool.sim.colliders import MovingBodies
 from animtool.sim.colliders.bodies import Pusher, Wrenches
 from animtool.systems.framework.body_carriers import CarrierBodies
-from animtool.systems.framework.bounds import check_bounds, check_finite
 from animtool.systems.framework.simulation import (
     Diagnostics,
     ManySteps,

@@ -26,7 +26,8 @@ from animtool.sim.equations import Equations
 from animtool.sim.integrating import advance_run, checkpoint_of, stats_of
 from animtool.sim.integrators import find_integrator
 from animtool.sim.integrators.implicit import PreviousStep
-from animtool.sim.modes import allowed_step, modes_at
+from animtool.sim.integrators.integrator import allowed_step
+from animtool.sim.modes import modes_at
 from animtool.sim.options import checked_integrator
 from animtool.sim.run import IntegrationRun
 from animtool.sim.system import Energy

@@ -13,8 +13,7 @@ import numpy as np
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import OptionError, refuse
 from animtool.core.record import dataclass
-from animtool.sim.integrators.table import find_integrator
-from animtool.sim.modes import allowed_step
+from animtool.sim.integrators.integrator import allowed_step, find_integrator
 from animtool.sim.trials.trial import REFERENCE_FACTORS, Setting, step_settings
 from animtool.systems.framework.simulation import TrialSettings
 from animtool.systems.springs.body_coupling import BodyCoupling

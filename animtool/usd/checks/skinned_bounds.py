@@ -122,7 +122,7 @@ def find_overhang(
 
 def spaced_indices(count: int, max_count: int) -> IntArray:
     """Return up to ``max_count`` evenly spaced indices below a count."""
-    return np.unique(np.linspace(0, count - 1, min(count, max_count)).astype(np.int64))
+    return np.linspace(0, count - 1, min(count, max_count)).astype(np.int64)
 
 
 def time_code_of(time: float) -> Any:

@@ -47,7 +47,6 @@ from animtool.usd.layers.finite import (
     float_type_code,
 )
 from animtool.usd.layers.names import legal_name
-from animtool.usd.layers.text_faults import layer_fault
 
 # Hint for files with a valid name that are not USD.
 USD_FILE_HINT = (
@@ -214,6 +213,8 @@ def usd_errors(path: Path) -> Iterator[None]:
         try:
             yield
         except Tf.ErrorException as error:
+            from animtool.usd.layers.text_faults import layer_fault
+
             raise FormatError(layer_fault(usd_reason(error, 2000), path)) from error
         except UnicodeEncodeError as error:
             raise unreadable_error(path, NOT_UTF8_REASON) from error

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import IO
@@ -38,6 +37,8 @@ def without_usd_warnings(
     USD prints them to the process's stderr, bypassing Python. Other output to stderr is
     printed afterwards.
     """
+    import tempfile
+
     sys.stderr.flush()
     try:
         saved_fd = os.dup(2)

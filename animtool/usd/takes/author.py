@@ -96,17 +96,15 @@ def author(job: UsdJob, takes: Iterable[UsdTake]) -> tuple[AuthoredLayers, UsdRe
             authored_take.report.curves = author_controls(
                 animation_layer, authored_take.report.animation, authored_take.curves
             )
-    # Without rest transforms, UsdSkel would warn at each frame.
-    with without_usd_warnings():
-        author_extents(
-            job,
-            authored_layers.has_visible_geometry,
-            authored_layers.layers,
-            [
-                (authored_take.report.name, authored_take.writer)
-                for authored_take in authored_takes
-            ],
-        )
+    author_extents(
+        job,
+        authored_layers.has_visible_geometry,
+        authored_layers.layers,
+        [
+            (authored_take.report.name, authored_take.writer)
+            for authored_take in authored_takes
+        ],
+    )
     for authored_take in authored_takes:
         authored_take.report.sampled = authored_take.writer.sampled_names
     return authored_layers, result

@@ -13,6 +13,7 @@ from animtool.core.errors import Fault, OutputError
 from animtool.usd.layers.finite import rounded_outwards
 from animtool.usd.layers.jobs import UsdJob
 from animtool.usd.layers.sdf import attribute_spec, prim_spec
+from animtool.usd.layers.stderr import without_usd_warnings
 from animtool.usd.takes.joint_writer import AnimationWriter
 
 
@@ -105,6 +106,19 @@ def author_extents(
                 writer.author_bounds(writer.padded_bounds(0.0))
         if not any(name for name, _ in writers):
             return
+    # Without rest transforms, UsdSkel would warn at each frame.
+    with without_usd_warnings():
+        _author_composed(job, layers, writers, is_invisible=is_invisible)
+
+
+def _author_composed(
+    job: UsdJob,
+    layers: Sequence[Any],
+    writers: Sequence[tuple[str, AnimationWriter]],
+    *,
+    is_invisible: bool,
+) -> None:
+    """Author extents and check bindings that need a stage of the layers."""
     stage = _compose_stage(job, layers)
     for name, writer in writers:
         if name:

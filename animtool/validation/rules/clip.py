@@ -243,7 +243,7 @@ def _wrap_keys(channel: ClipChannel, rig: Rig) -> IntArray:
         )
         is not None
     ]
-    return np.unique(np.array([*wrap_keys, *flip_keys], np.int64))
+    return np.array(sorted({*wrap_keys, *flip_keys}), np.int64)
 
 
 def _wraps_after(
