@@ -278,11 +278,11 @@ class Session:
             pose=pose,
             rest_weight=self._rest_weight,
         )
-        targets = np.zeros((1, len(goals), WEIGHT_COLUMNS.stop))
-        targets[:, :, TARGET_COLUMNS["orientation"].stop - 1] = 1.0
-        targets[:, :, WEIGHT_COLUMNS] = 1.0
+        target_buffer = np.zeros((1, len(goals), WEIGHT_COLUMNS.stop))
+        target_buffer[:, :, TARGET_COLUMNS["orientation"].stop - 1] = 1.0
+        target_buffer[:, :, WEIGHT_COLUMNS] = 1.0
         views = [
-            targets[0, e, TARGET_COLUMNS[kind.name]]
+            target_buffer[0, e, TARGET_COLUMNS[kind.name]]
             for e, goal in enumerate(goals)
             for kind in goal.kinds
         ]
@@ -290,7 +290,7 @@ class Session:
         has_branches = closed_form(problem) is ClosedForm.ARM
         columns = fixed_columns(problem)
         return _PackedProblem(
-            problem, solver, has_branches, columns, targets, tuple(views)
+            problem, solver, has_branches, columns, target_buffer, tuple(views)
         )
 
 
