@@ -116,16 +116,16 @@ def _with_nearby_keys(channel: ClipChannel, first: float, last: float) -> ClipCh
         return channel
     first_key = int(np.searchsorted(channel.times, first, "right")) - 1 - MARGIN_KEYS
     end_key = int(np.searchsorted(channel.times, last)) + 1 + MARGIN_KEYS
-    keys = slice(max(first_key, 0), end_key)
+    nearby_keys = slice(max(first_key, 0), end_key)
     return replace(
         channel,
-        times=channel.times[keys],
-        values=channel.values[keys],
-        interps=channel.interps[keys],
-        tangents=channel.tangents[keys],
-        ins=channel.ins[keys],
-        outs=channel.outs[keys],
-        tcb=channel.tcb[keys],
+        times=channel.times[nearby_keys],
+        values=channel.values[nearby_keys],
+        interps=channel.interps[nearby_keys],
+        tangents=channel.tangents[nearby_keys],
+        ins=channel.ins[nearby_keys],
+        outs=channel.outs[nearby_keys],
+        tcb=channel.tcb[nearby_keys],
     )
 
 
@@ -219,15 +219,15 @@ def _moving_targets(
     if has_indirect_motion:
         return None
     shape_index_by_name = {shape.name: i for i, shape in enumerate(rig.shapes)}
-    targets = set()
+    moving_targets = set()
     for channel in channels:
         if is_static(channel):
             continue
         group, _, name = channel.target.partition("/")
         if group == "shape":
-            targets.add(("weights", shape_index_by_name[name]))
+            moving_targets.add(("weights", shape_index_by_name[name]))
             continue
         joint, part = split_part(name, KEYED_PARTS)
         component = {"angle": "rotation", "slide": "translation"}.get(part, part)
-        targets.add((f"{component.removeprefix('local_')}s", rig.index(joint)))
-    return targets
+        moving_targets.add((f"{component.removeprefix('local_')}s", rig.index(joint)))
+    return moving_targets

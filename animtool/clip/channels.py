@@ -173,13 +173,13 @@ def missing_targets_text(
     missing_targets: Sequence[str], target_count: int, rig: Rig
 ) -> str:
     """Return how many targets a rig lacks, and the first of them."""
-    text = f"has none of the {target_count} targets"
+    summary = f"has none of the {target_count} targets"
     if len(missing_targets) < target_count:
-        text = f"lacks {len(missing_targets)} of the {target_count} targets"
+        summary = f"lacks {len(missing_targets)} of the {target_count} targets"
     subjects = (
         f"{group} {name!r}" for group, name in map(_group_and_name, missing_targets)
     )
-    return f"rig {rig.name!r} {text}: {listed(list(dict.fromkeys(subjects)), 4)}"
+    return f"rig {rig.name!r} {summary}: {listed(list(dict.fromkeys(subjects)), 4)}"
 
 
 def rig_file_has_all(path: Path | None, targets: Iterable[str]) -> bool:
@@ -290,7 +290,7 @@ def _channel_curves(
     slopes = KeySlopes(
         channel.times, channel.values, channel.tcb, channel.parametrization
     )
-    ins, outs, kinds = key_handles(
+    ins, outs, segment_kinds = key_handles(
         slopes, channel.interps, channel.tangents, channel.ins, channel.outs
     )
     in_rows, out_rows = (
@@ -300,8 +300,8 @@ def _channel_curves(
         for handles in (ins, outs)
     )
     times = np.tile(channel.times, component_count)
-    kinds = np.tile(kinds, component_count)
-    return times, channel.values.T.ravel(), kinds, in_rows, out_rows
+    segment_kinds = np.tile(segment_kinds, component_count)
+    return times, channel.values.T.ravel(), segment_kinds, in_rows, out_rows
 
 
 # Rotations per batch: few calls, at most 1 MB each.

@@ -306,11 +306,13 @@ def _with_moved_joints(channels: Sequence[Channel], keyed_joints: Set[int]) -> C
     """
     take_channel, fitted_channel, exact_channel = channels
     moved_joints = {*fitted_channel.animated.tolist(), *exact_channel.animated.tolist()}
-    joints = np.array(sorted(moved_joints - keyed_joints), np.int64)
-    if not len(joints):
+    replaced_joints = np.array(sorted(moved_joints - keyed_joints), np.int64)
+    if not len(replaced_joints):
         return take_channel
-    is_different = fitted_channel.gather(joints) != exact_channel.gather(joints)
-    joints = joints[is_different.any(axis=(0, 2))]
-    if not len(joints):
+    is_different = fitted_channel.gather(replaced_joints) != exact_channel.gather(
+        replaced_joints
+    )
+    replaced_joints = replaced_joints[is_different.any(axis=(0, 2))]
+    if not len(replaced_joints):
         return take_channel
-    return take_channel.put(joints, fitted_channel.gather(joints))
+    return take_channel.put(replaced_joints, fitted_channel.gather(replaced_joints))

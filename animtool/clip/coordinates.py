@@ -96,24 +96,27 @@ def _joint_motion(
     translation_from_rest = so3.rotate(
         inverse_rest, translation - np.array(joint.translation)
     )
-    axis = np.array(joint.axis)
+    joint_axis = np.array(joint.axis)
     coordinate = np.zeros(1)
     rotation_error = 0.0
     translation_error = float(np.abs(translation_from_rest).max(initial=0.0))
     if joint.type is JointType.PIN:
         coordinate = np.unwrap(
-            2.0 * np.arctan2(rotation_from_rest[:, :3] @ axis, rotation_from_rest[:, 3])
+            2.0
+            * np.arctan2(
+                rotation_from_rest[:, :3] @ joint_axis, rotation_from_rest[:, 3]
+            )
         )
         coordinate = coordinate - 2 * np.pi * np.round(coordinate[:1] / (2 * np.pi))
-        pin_rotation = so3.from_axis_angle(axis, coordinate)
+        pin_rotation = so3.from_axis_angle(joint_axis, coordinate)
         residual = so3.angle_between(rotation_from_rest, pin_rotation)
         rotation_error = float(residual.max(initial=0.0))
     elif joint.type not in _ROTATING_TYPES:
         residual = so3.angle_between(rotation_from_rest, so3.IDENTITY)
         rotation_error = float(residual.max(initial=0.0))
     if joint.type is JointType.PRISMATIC:
-        coordinate = translation_from_rest @ axis
-        residual = translation_from_rest - coordinate[:, None] * axis
+        coordinate = translation_from_rest @ joint_axis
+        residual = translation_from_rest - coordinate[:, None] * joint_axis
         translation_error = float(np.abs(residual).max(initial=0.0))
     elif joint.type is JointType.FREE:
         translation_error = 0.0
@@ -205,17 +208,23 @@ def required_control_values(
 
 def _nearest_revolution(rotation: FloatArray, initial_vector: FloatArray) -> FloatArray:
     """Return rotation vectors ``(n, 3)`` on the revolution nearest to a guess."""
-    vector = so3.log(rotation)
-    vector, initial_vector = np.broadcast_arrays(vector, initial_vector)
-    vector_length = np.linalg.norm(vector, axis=1, keepdims=True)
+    shortest_vector = so3.log(rotation)
+    shortest_vector, initial_vector = np.broadcast_arrays(
+        shortest_vector, initial_vector
+    )
+    vector_length = np.linalg.norm(shortest_vector, axis=1, keepdims=True)
     initial_length = np.linalg.norm(initial_vector, axis=1, keepdims=True)
-    axis = np.where(vector_length > 1e-9, vector, initial_vector)
-    axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
-    guess_on_axis = (initial_vector * axis).sum(axis=1, keepdims=True)
-    vector_on_axis = (vector * axis).sum(axis=1, keepdims=True)
+    rotation_axis = np.where(vector_length > 1e-9, shortest_vector, initial_vector)
+    rotation_axis = rotation_axis / np.maximum(
+        np.linalg.norm(rotation_axis, axis=1, keepdims=True), 1e-300
+    )
+    guess_on_axis = (initial_vector * rotation_axis).sum(axis=1, keepdims=True)
+    vector_on_axis = (shortest_vector * rotation_axis).sum(axis=1, keepdims=True)
     revolutions = np.round((guess_on_axis - vector_on_axis) / (2 * np.pi))
     return np.where(
-        initial_length > np.pi / 2, vector + 2 * np.pi * revolutions * axis, vector
+        initial_length > np.pi / 2,
+        shortest_vector + 2 * np.pi * revolutions * rotation_axis,
+        shortest_vector,
     )
 
 
@@ -299,8 +308,8 @@ class _KeyedJoint:
                 ChannelKind.TRANSLATION, "local_translation", rest_translation + offset
             )
         elif joint.type is JointType.PRISMATIC:
-            difference = motion.coordinate - expected_coordinates
-            if self._needs_keys(difference, tolerances.length, is_at_rest):
+            unexplained_motion = motion.coordinate - expected_coordinates
+            if self._needs_keys(unexplained_motion, tolerances.length, is_at_rest):
                 driven_part = self.driven_values("slide", use_fitted=True)
                 driven_vector = driven_part[:, None] * np.array(joint.axis)
                 yield self._key_track(
@@ -310,8 +319,8 @@ class _KeyedJoint:
                     rest_translation + so3.rotate(rest_rotation, driven_vector),
                 )
         elif joint.type is JointType.FREE:
-            difference = motion.translation - self.driven_vectors("translation")
-            if self._needs_keys(difference, tolerances.length, is_at_rest):
+            unexplained_motion = motion.translation - self.driven_vectors("translation")
+            if self._needs_keys(unexplained_motion, tolerances.length, is_at_rest):
                 driven_part = self.driven_vectors("translation", use_fitted=True)
                 yield self._key_track(
                     ChannelKind.TRANSLATION,
@@ -330,8 +339,8 @@ class _KeyedJoint:
             aligned_rotation = so3.align_signs(local_rotation)
             yield self._euler_track("local_rotation", aligned_rotation, None)
         elif joint.type is JointType.PIN:
-            difference = _wrap_angles(motion.coordinate - expected_coordinates)
-            if self._needs_keys(difference, tolerances.angle, is_at_rest):
+            unexplained_angle = _wrap_angles(motion.coordinate - expected_coordinates)
+            if self._needs_keys(unexplained_angle, tolerances.angle, is_at_rest):
                 driven_part = self.driven_values("angle", use_fitted=True)
                 driven_rotation = so3.from_axis_angle(joint.axis, driven_part)
                 yield self._key_track(
@@ -342,8 +351,8 @@ class _KeyedJoint:
                 )
         elif joint.type in _ROTATING_TYPES:
             driven_rotation = so3.exp(self.driven_vectors("rotation"))
-            difference = so3.angle_between(driven_rotation, motion.rotation)
-            if self._needs_keys(difference, tolerances.angle, is_at_rest):
+            unexplained_angle = so3.angle_between(driven_rotation, motion.rotation)
+            if self._needs_keys(unexplained_angle, tolerances.angle, is_at_rest):
                 driven_part = so3.exp(self.driven_vectors("rotation", use_fitted=True))
                 inverse_driven_part = so3.conjugate(driven_part)
                 keyed_rotation = so3.multiply(inverse_driven_part, motion.rotation)

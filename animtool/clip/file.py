@@ -112,17 +112,17 @@ def _load_keys(
     file_name, array_name = split_reference(reference_text, DEFAULT_ARRAY_NAME)
     if document.is_placeholder(location):
         return []
-    path = resolve_reference(
+    array_path = resolve_reference(
         document, location, file_name, project_roots(document.path)
     )
-    reason = None if path is None else not_a_file_reason(path)
+    reason = None if array_path is None else not_a_file_reason(array_path)
     if reason is not None:
         hint = similar_file_hint(document, file_name)
         document.add("DOC015", location, f"{file_name!r} {reason}", hint)
-    if path is None or reason is not None:
+    if array_path is None or reason is not None:
         return []
     try:
-        key_rows = archives.load(path, array_name)
+        key_rows = archives.load(array_path, array_name)
     except ValueError as error:
         document.add("CLIP016", location, str(error))
         return []

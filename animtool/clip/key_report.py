@@ -172,16 +172,18 @@ def _off_type_notes(
         joint, motion = rig.joints[track.index], joint_motions[track.index]
         if track.part == "local_rotation":
             verb = "rotates off its axis" if joint.type is JointType.PIN else "turns"
-            error = plain_number(motion.rotation_error / units.angle)
-            amount = f"{error} {units.angle_name}"
+            error_text = plain_number(motion.rotation_error / units.angle)
+            amount_text = f"{error_text} {units.angle_name}"
         elif track.part == "local_translation":
             is_slider = joint.type is JointType.PRISMATIC
             verb = "moves off its axis" if is_slider else "moves"
-            error = plain_number(motion.translation_error / units.length)
-            amount = f"{error} {unit_name(units.length)}"
+            error_text = plain_number(motion.translation_error / units.length)
+            amount_text = f"{error_text} {unit_name(units.length)}"
         else:
             continue
-        message = f"joint {joint.name!r} of type {joint.type} {verb}, by up to {amount}"
+        message = (
+            f"joint {joint.name!r} of type {joint.type} {verb}, by up to {amount_text}"
+        )
         hint = f"it has keys for {track.part} instead of its own coordinates"
         yield "CLIP117", message, hint
 

@@ -118,13 +118,15 @@ def fit_take_keys(
         other_tolerances,
         base,
     )
-    result = job.reduce(1.0)
+    keyed_take = job.reduce(1.0)
     for i in range(MAX_REFINEMENTS):
-        if result.reduction.held:
+        if keyed_take.reduction.held:
             break
         finer_result = job.reduce(REFINEMENT_FACTOR ** (i + 1))
-        result = min(result, finer_result, key=lambda keyed: keyed.reduction.error)
-    return result
+        keyed_take = min(
+            keyed_take, finer_result, key=lambda keyed: keyed.reduction.error
+        )
+    return keyed_take
 
 
 def _rounding_differences(rig: Rig, tolerance: float) -> Tolerances:
@@ -318,13 +320,13 @@ def _measure_errors(
         for motion in (take.motion, keyed_motion)
     )
     points = attached_points(take.rig, SHELL_DISTANCE)
-    errors = point_errors(points, true_world, reduced_world)
-    frame, joint = divmod(int(np.argmax(errors)), len(bounds))
+    joint_errors = point_errors(points, true_world, reduced_world)
+    frame, joint = divmod(int(np.argmax(joint_errors)), len(bounds))
     return replace(
         reduction,
-        error=float(errors[frame, joint]),
+        error=float(joint_errors[frame, joint]),
         joint=take.rig.joints[joint].name,
         frame=frame,
-        held=bool((errors / bounds).max() <= 1 + DIGIT_ROUNDING),
+        held=bool((joint_errors / bounds).max() <= 1 + DIGIT_ROUNDING),
         weight_error=weight_error,
     )

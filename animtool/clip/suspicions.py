@@ -112,28 +112,32 @@ def _warn_of_speed(clip: CheckedClip) -> None:
     if not (has_limbs and CHARACTER_SIZES[0] <= rig_size <= CHARACTER_SIZES[1]):
         return
     for i, channel in clip.root_translations():
-        steps = np.diff(channel.times) / float(clip.fps)
-        lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
+        step_seconds = np.diff(channel.times) / float(clip.fps)
+        step_lengths = np.linalg.norm(np.diff(channel.values, axis=0), axis=1)
         # A single fast step, or one without frames between, is a cut or a teleport.
         interps = channel.interps[:-1]
         is_continuous = np.array([interp != Interp.STEP for interp in interps], bool)
-        is_fast = lengths > MAX_SPEED * steps
-        is_counted = is_fast & (steps >= SPEED_INTERVAL)
-        if is_fast.sum() >= max(MIN_FAST_STEPS, np.count_nonzero(lengths) / 2):
+        is_fast = step_lengths > MAX_SPEED * step_seconds
+        is_counted = is_fast & (step_seconds >= SPEED_INTERVAL)
+        if is_fast.sum() >= max(MIN_FAST_STEPS, np.count_nonzero(step_lengths) / 2):
             is_counted = is_fast & is_continuous
         if not is_counted.any():
             continue
-        speeds = np.where(is_counted, lengths / np.maximum(steps, 1e-9), 0.0)
-        k = int(speeds.argmax())
+        speeds = np.where(
+            is_counted, step_lengths / np.maximum(step_seconds, 1e-9), 0.0
+        )
+        fastest_step = int(speeds.argmax())
+        length, seconds = step_lengths[fastest_step], step_seconds[fastest_step]
         message = (
-            f"{channel.target!r} moves {length_text(lengths[k])} in {steps[k]:.3g} s "
-            f"({speeds[k]:.3g} m/s), and the rig is {length_text(rig_size)} tall"
+            f"{channel.target!r} moves {length_text(length)} in {seconds:.3g} s "
+            f"({speeds[fastest_step]:.3g} m/s), and the rig is "
+            f"{length_text(rig_size)} tall"
         )
         unit = SMALLER_UNIT_NAME_BY_METERS.get(clip.units.length)
         hint = "check the keys and fps"
         if unit is not None:
             hint += f"; for keys in {unit} write 'units: {{length: {unit}}}'"
-        clip.warn("CLIP109", i, k + 1, message, hint)
+        clip.warn("CLIP109", i, fastest_step + 1, message, hint)
         return
 
 
@@ -207,12 +211,14 @@ def warn_of_angle_keys(
     The messages call the keys ``label``, such as ``rotation keys of``, and what has
     them ``noun``, such as ``channel``. The rig's limits show the units of pins.
     """
-    angles = [(curve, curve.values / units.angle) for curve in curves]
-    angles = [(curve, values) for curve, values in angles if values.any()]
-    if not angles:
+    angles_of_curves = [(curve, curve.values / units.angle) for curve in curves]
+    angles_of_curves = [
+        (curve, angles) for curve, angles in angles_of_curves if angles.any()
+    ]
+    if not angles_of_curves:
         return
     is_in_degrees = units.angle != 1.0
-    named_angles = [(curve.name, values) for curve, values in angles]
+    named_angles = [(curve.name, angles) for curve, angles in angles_of_curves]
     are_all = (
         _look_like_radians(named_angles)
         if is_in_degrees
@@ -220,26 +226,33 @@ def warn_of_angle_keys(
     )
     if not are_all:
         suspicious_angles = [
-            (curve, values)
-            for curve, values in angles
-            if _are_integer_degrees_in_radians(values)
+            (curve, angles)
+            for curve, angles in angles_of_curves
+            if _are_integer_degrees_in_radians(angles)
         ]
-        angles = suspicious_angles if is_in_degrees else []
-    if not angles:
+        angles_of_curves = suspicious_angles if is_in_degrees else []
+    if not angles_of_curves:
         return
-    worst_curve, values = max(angles, key=lambda angle: np.abs(angle[1]).max())
-    k = int(np.abs(values).max(axis=1).argmax())
-    largest_angle = values[k][np.abs(values[k]).argmax()]
+    worst_curve, worst_angles = max(
+        angles_of_curves, key=lambda angle: np.abs(angle[1]).max()
+    )
+    largest_key = int(np.abs(worst_angles).max(axis=1).argmax())
+    largest_angle = worst_angles[largest_key][
+        np.abs(worst_angles[largest_key]).argmax()
+    ]
     file_unit = "deg" if is_in_degrees else "rad"
     likely_unit, factor = OTHER_ANGLE_UNIT_AND_FACTOR[file_unit]
     message = (
-        f"{label} {counted(len(angles), noun)} look like {ANGLE_NAMES[likely_unit]}, "
-        f"but the angle unit is {file_unit}: the largest is {largest_angle:.4g}"
+        f"{label} {counted(len(angles_of_curves), noun)} look like "
+        f"{ANGLE_NAMES[likely_unit]}, but the angle unit is {file_unit}: "
+        f"the largest is {largest_angle:.4g}"
     )
     hint = f"this key in {ANGLE_NAMES[file_unit]}: {largest_angle * factor:.4g}"
     unit_hint = f"write 'units: {{angle: {likely_unit}}}', or {hint}"
     hint = unit_hint if are_all else f"write {hint}"
-    document.warn("CLIP107", (*worst_curve.location, "keys", k, "v"), message, hint)
+    document.warn(
+        "CLIP107", (*worst_curve.location, "keys", largest_key, "v"), message, hint
+    )
 
 
 def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
@@ -269,13 +282,16 @@ def _look_like_radians(angles: list[tuple[str, FloatArray]]) -> bool:
 
 def _are_integer_degrees_in_radians(values: FloatArray) -> bool:
     """Return whether rounded values are whole degrees if they are radians."""
-    numbers = values[values != 0.0]
-    if not (numbers.size and MIN_SPAN <= np.abs(numbers).max() <= FULL_REVOLUTION):
+    nonzero_values = values[values != 0.0]
+    if not (
+        nonzero_values.size
+        and MIN_SPAN <= np.abs(nonzero_values).max() <= FULL_REVOLUTION
+    ):
         return False
-    degrees = np.degrees(numbers)
+    degrees = np.degrees(nonzero_values)
     if not (np.abs(degrees - np.round(degrees)) <= INTEGER_TOLERANCE).all():
         return False
-    return len({*numbers.tolist()}) >= MIN_INTEGERS
+    return len({*nonzero_values.tolist()}) >= MIN_INTEGERS
 
 
 def _look_like_degrees(angles: list[tuple[str, FloatArray]], rig: Rig | None) -> bool:
@@ -359,7 +375,7 @@ def _warn_of_small_lengths(clip: CheckedClip) -> bool:
     if is_visible or not shortest_span <= span_in_metres <= longest_span:
         return False
     values = clip.channels[i].values
-    k = int(np.abs(values - values[0]).max(axis=1).argmax())
+    farthest_key = int(np.abs(values - values[0]).max(axis=1).argmax())
     unit = unit_name(clip.units.length)
     message = (
         f"the clip has no unit of length, so it is read in {unit}, the unit of its "
@@ -368,7 +384,7 @@ def _warn_of_small_lengths(clip: CheckedClip) -> bool:
     )
     hint = f"for metres write 'units: {{length: m}}': {span_in_metres:.3g} m; else "
     hint += f"'units: {{length: {unit}}}'"
-    clip.warn("CLIP108", i, k, message, hint)
+    clip.warn("CLIP108", i, farthest_key, message, hint)
     return True
 
 
@@ -391,16 +407,16 @@ def _warn_of_scale(clip: CheckedClip) -> None:
 
 def _warn_of_weights(document: Document, channels: Sequence[ClipChannel]) -> None:
     """Warn of shape weights that look like percentages (CLIP121)."""
-    weights = [
+    largest_weights = [
         (float(channel.values.max()), i)
         for i, channel in enumerate(channels)
         if channel.target.startswith("shape/")
     ]
-    largest_weight, i = max(weights, default=(0.0, 0))
+    largest_weight, i = max(largest_weights, default=(0.0, 0))
     if largest_weight < MIN_PERCENT_WEIGHT:
         return
     name = channels[i].target.removeprefix("shape/")
-    other_count = sum(weight >= MIN_PERCENT_WEIGHT for weight, _ in weights) - 1
+    other_count = sum(weight >= MIN_PERCENT_WEIGHT for weight, _ in largest_weights) - 1
     message = (
         f"shape {name!r} is keyed up to {largest_weight:.4g}, but 1 is its full effect"
     )
@@ -418,8 +434,10 @@ def _warn_of_controls(clip: CheckedClip) -> None:
     channels, rig = clip.channels, clip.rig
     controls = [c for c in channels if c.target.startswith("control/")]
     controls = [c for c in controls if np.ptp(c.values) > 0]
-    indices = [i for i, c in enumerate(channels) if c.target.startswith("joint/")]
-    if not controls or not indices:
+    joint_channels = [
+        i for i, c in enumerate(channels) if c.target.startswith("joint/")
+    ]
+    if not controls or not joint_channels:
         return
     times = distinct_values(np.concatenate([channel.times for channel in channels]))
     time_count = min(len(times), MAX_EVALUATED_TIMES)
@@ -429,7 +447,7 @@ def _warn_of_controls(clip: CheckedClip) -> None:
         t.removeprefix("control/"): v[:, 0] for t, v in values_by_target.items()
     }
     driven_targets = evaluate_controls(rig.controls, values_by_control).targets
-    for i in indices:
+    for i in joint_channels:
         target = channels[i].target
         spans = [
             float(np.ptp(values))

@@ -122,16 +122,16 @@ def _warn_of_offsets(clip: CheckedClip) -> None:
         if rest_length <= MIN_REST_RATIO * rig_size:
             continue
         fraction_along_rest = channel.values @ rest / rest_length**2
-        distances = np.linalg.norm(channel.values, axis=1)
-        k = int(distances.argmin())
+        offset_lengths = np.linalg.norm(channel.values, axis=1)
+        nearest_key = int(offset_lengths.argmin())
         # A body that lies on the ground is near 0, but hardly at it.
         is_near = abs(float(fraction_along_rest.mean())) <= NEAR_REST_RATIO
         is_near &= max(fraction_along_rest) <= ABOUT_REST_RATIO
-        is_at_zero = distances[k] <= AT_REST_RATIO * rest_length
+        is_at_zero = offset_lengths[nearest_key] <= AT_REST_RATIO * rest_length
         if joint.parent < 0:
             is_at_zero |= bool(fraction_along_rest.mean() < 0)
         else:
-            is_at_zero |= bool(distances.max() <= NEAR_REST_RATIO * rest_length)
+            is_at_zero |= bool(offset_lengths.max() <= NEAR_REST_RATIO * rest_length)
         if not (is_at_zero and is_near):
             continue
         if joint.parent < 0:
@@ -145,7 +145,7 @@ def _warn_of_offsets(clip: CheckedClip) -> None:
         message = f"{channel.target!r} is keyed near [0, 0, 0], but the rest position "
         message += f"is [{numbers}]: {result}"
         hint = f"for moves from rest, key joint/{name}.translation"
-        clip.warn("CLIP122", i, k, message, hint)
+        clip.warn("CLIP122", i, nearest_key, message, hint)
         return
 
 
@@ -156,17 +156,17 @@ def _warn_of_up_axis(clip: CheckedClip) -> None:
     for i, channel in clip.root_translations():
         name, part = split_part(channel.target.removeprefix("joint/"), KEYED_PARTS)
         rest_position = np.array(rig.joints[rig.index(name)].translation)
-        values = channel.values - (
+        root_offsets = channel.values - (
             rest_position if part == "local_translation" else 0.0
         )
-        if len(values) < MIN_WALK_KEYS:
+        if len(root_offsets) < MIN_WALK_KEYS:
             continue
-        heights = values @ up
+        heights = root_offsets @ up
         fall_height = float(heights[0] - heights[-1])
         end_height = float(rest_position @ up + heights[-1])
         if fall_height < rest_size(rig) / 2 or end_height >= lowest_rest_height:
             continue
-        offsets = values - values[0] - np.outer(heights - heights[0], up)
+        offsets = root_offsets - root_offsets[0] - np.outer(heights - heights[0], up)
         sideways_distances = np.linalg.norm(offsets, axis=1)
         times = channel.times
         even_heights = np.interp(times, times[[0, -1]], heights[[0, -1]])
@@ -184,5 +184,5 @@ def _warn_of_up_axis(clip: CheckedClip) -> None:
         )
         other_axis = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
         hint = f"for {other_axis}-up keys write [x, y, z] as {_CONVERTED_AXES[rig.up]}"
-        clip.warn("CLIP123", i, len(values) - 1, message, hint)
+        clip.warn("CLIP123", i, len(root_offsets) - 1, message, hint)
         return

@@ -111,7 +111,7 @@ def with_types_for_motion(take: Take) -> Rig:
     channel = take.motion.translations
     is_translated = (channel.rest != take.rig.rest_translations).any(axis=1)
     is_translated[channel.animated] = True
-    joints = tuple(
+    typed_joints = tuple(
         replace(joint, type=JointType.FREE if is_moving else JointType.BALL)
         if joint.type is JointType.FREE
         else joint
@@ -119,4 +119,4 @@ def with_types_for_motion(take: Take) -> Rig:
             take.rig.joints, is_translated.tolist(), strict=True
         )
     )
-    return replace(take.rig, joints=joints)
+    return replace(take.rig, joints=typed_joints)

@@ -161,7 +161,7 @@ def measure_cycle(
         raise empty_cycle_error(take.clock, first_index, last_index)
     pose_view = _PoseView.from_take(take)
     stride = max(1, int(take.clock.rate // SEARCH_RATE))
-    first_column, last_column, columns = (
+    first_column, last_column, all_columns = (
         pose_view.columns_of_frames(np.array(frames))
         for frames in (
             [first_index],
@@ -170,7 +170,7 @@ def measure_cycle(
         )
     )
     distance = float(_pose_distance(first_column, last_column)[0])
-    extents = _pose_distance(first_column, columns)
+    extents = _pose_distance(first_column, all_columns)
     largest_extent = max(distance, float(extents.max()), pose_view.static_extent)
     return _build_cycle(take.clock, first_index, last_index, distance, largest_extent)
 

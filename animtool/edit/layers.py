@@ -119,15 +119,17 @@ def _run_blend(take: Take, options: BlendOptions, context: PassContext) -> Take:
     """Run the pass: blend with another take."""
     warnings = weight_warnings(options.weight, take.clock, in_shot=context.in_shot)
     context.notices.extend(warnings)
-    other = context.take(options.take)
+    other_take = context.take(options.take)
     blended_take = blend(
         take,
-        other,
+        other_take,
         weight=options.weight,
         interpolation=options.interpolation,
         delay=options.delay,
     )
-    context.notices.extend(_distance_warning(take, other, blended_take.clock, options))
+    context.notices.extend(
+        _distance_warning(take, other_take, blended_take.clock, options)
+    )
     return blended_take
 
 

@@ -221,7 +221,7 @@ def resample_track(track: Track, transforms: Transforms) -> Track:
             return positions.interpolate(Channel(values[0], all_rows, values)).values
 
         mapped_transforms = map_attributes(track, transforms, interpolate)
-        values = tuple(
+        resampled_values = tuple(
             mapped_transforms.values[i]
             if attribute.width
             else transforms.values[i][positions.frames]
@@ -230,7 +230,9 @@ def resample_track(track: Track, transforms: Transforms) -> Track:
         is_clamped = transforms.is_clamped
         if is_clamped is not None:
             is_clamped = is_clamped[positions.frames]
-        return replace(mapped_transforms, values=values, is_clamped=is_clamped)
+        return replace(
+            mapped_transforms, values=resampled_values, is_clamped=is_clamped
+        )
 
     return replace(track, sample=sample)
 

@@ -235,8 +235,8 @@ def _run_mirror(
     """Run the pass: swap left and right."""
     rig = stream.rig
     requested_pairs = _with_rig_pairs(rig, _pair_tuples(options.pairs))
-    pairs = pair_sides(rig.names, rig.parents, requested_pairs)
-    partners = pairs.partners
+    partner_pairs = pair_sides(rig.names, rig.parents, requested_pairs)
+    partners = partner_pairs.partners
     _check_requested_pairs(rig, options.pairs, partners)
     is_kept = _is_unpaired(rig, partners)
     _check_partner_parents(rig, partners, is_kept)
@@ -248,11 +248,11 @@ def _run_mirror(
     pairs_by_kind = {kind: pair_sides(names) for kind, names in names_by_kind.items()}
     if context is not None:
         notices = context.notices
-        notices.extend(_unpaired_warnings("joints", rig.names, pairs, is_kept))
+        notices.extend(_unpaired_warnings("joints", rig.names, partner_pairs, is_kept))
         for kind, names in names_by_kind.items():
             notices.extend(_unpaired_warnings(kind, names, pairs_by_kind[kind]))
         is_unpaired = is_kept.copy()
-        is_unpaired[list(pairs.unpaired_indices)] = True
+        is_unpaired[list(partner_pairs.unpaired_indices)] = True
         notices.extend(_asymmetry_warnings(rig, partners, ~is_unpaired, axis))
     joint_mirror = _JointMirror.from_rig(rig, partners, is_kept, axis)
     shape_partners = pairs_by_kind["shapes"].partners
@@ -332,17 +332,17 @@ def _check_requested_pairs(
 ) -> None:
     """Raise if the parents of two joints of a requested pair are not partners."""
     faults = []
-    for a, b in pairs:
-        i, j = (rig.joints[rig.index(name)].parent for name in (a, b))
+    for left, right in pairs:
+        i, j = (rig.joints[rig.index(name)].parent for name in (left, right))
         if min(i, j) < 0 and i != j:
-            first_name, second_name = (a, b) if i >= 0 else (b, a)
+            first_name, second_name = (left, right) if i >= 0 else (right, left)
             reason = f"{second_name!r} has no parent, but {first_name!r} has one"
         elif min(i, j) >= 0 and partners[i] != j:
             parents_text = f"{rig.names[i]!r} and {rig.names[j]!r}"
             reason = f"their parents {parents_text} are not a pair"
         else:
             continue
-        faults.append(f"pairs: {a!r} and {b!r} cannot be swapped: {reason}")
+        faults.append(f"pairs: {left!r} and {right!r} cannot be swapped: {reason}")
     if faults:
         hint = "pair their parents too, or name other joints"
         raise OptionError([Fault("SCN019", text, hint=hint) for text in faults])

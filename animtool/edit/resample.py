@@ -312,26 +312,28 @@ def resampled(
     check_loaded(take, Take, "take")
     fps = rate_option(fps)
     check_count(1 + int((take.clock.count - 1) * fps / take.clock.rate))
-    times = plan_samples(take.clock, fps, take.clock.start)
+    sample_times = plan_samples(take.clock, fps, take.clock.start)
     source, rate = take, take.clock.rate
     if lowpass and fps < rate:
         cutoff = CUTOFF_FRACTION * float(fps)
         source = replace(take, motion=filter_motion(take.motion, cutoff, float(rate)))
     sampler = TakeSampler.from_take(source)
-    blocks = sample_blocks(sampler, times, is_smooth=smooth)
+    blocks = sample_blocks(sampler, sample_times, is_smooth=smooth)
     motion = Motion.concatenate([block for _, block in blocks])
     new_start, codes_ratio = take.clock.start, float(take.clock.fps / fps)
     clock, notices = Clock(fps, new_start, Fraction(1), motion.frames), take.notices
     if not smooth:
-        positions = FramePositions(times.frames, times.fractions)
+        positions = FramePositions(sample_times.frames, sample_times.fractions)
         hint = f"{argument('smooth', True)} interpolates smoothly"
         notices = (*notices, *interpolation_notices(sampler, positions, hint))
     notices = (*notices, *rate_warning(fps))
-    notices = (*notices, *single_frame_warning(times, take.clock, fps))
-    if times.dropped_duration_at_end:
+    notices = (*notices, *single_frame_warning(sample_times, take.clock, fps))
+    if sample_times.dropped_duration_at_end:
         notices = (
             *notices,
-            dropped_notice(times.dropped_duration_at_end, fps, times.last),
+            dropped_notice(
+                sample_times.dropped_duration_at_end, fps, sample_times.last
+            ),
         )
     first_code = float(new_start)
     return replace(

@@ -83,20 +83,20 @@ def interpolation_notices(
         ):
             continue
         size_text = plain_number(deviation.size)
-        kind, part_names = "joint", list(rig.names)
+        part_kind, part_names = "joint", list(rig.names)
         if deviation.channel == "translations":
             size_text = length_text(deviation.size)
         elif deviation.channel == "rotations":
             size_text = angle_text(float(np.degrees(deviation.size)))
         elif deviation.channel != "scales":
-            kind = deviation.channel.replace("weights", "shapes")[:-1]
-            part_names = [part.name for part in getattr(rig, f"{kind}s")]
+            part_kind = deviation.channel.replace("weights", "shapes")[:-1]
+            part_names = [part.name for part in getattr(rig, f"{part_kind}s")]
         else:
-            kind = "scale of joint"
+            part_kind = "scale of joint"
         name = part_names[deviation.row]
         code = float(take.clock.start) + deviation.frame * float(take.clock.step)
         error_texts.append(
-            f"{size_text} ({kind} {name!r}, frame {frame_label(round(code, 2))})"
+            f"{size_text} ({part_kind} {name!r}, frame {frame_label(round(code, 2))})"
         )
     if not error_texts:
         return []
@@ -122,16 +122,21 @@ def _largest_deviation(
         last_inner = int(np.clip(frames.max() + 1, 1, frame_count - 2))
         values = channel.values[first_inner - 1 : last_inner + 2]
         second_differences = _second_differences(values, columns)
-        peaks, factor = second_differences.max(axis=1), fraction * (1 - fraction) / 2
+        peaks, bend_factor = (
+            second_differences.max(axis=1),
+            fraction * (1 - fraction) / 2,
+        )
         before, after = (
             np.clip(indices, first_inner, last_inner) - first_inner
             for indices in (frames, frames + 1)
         )
-        worst_index = int(np.argmax(np.maximum(peaks[before], peaks[after]) * factor))
+        worst_index = int(
+            np.argmax(np.maximum(peaks[before], peaks[after]) * bend_factor)
+        )
         sizes = np.maximum(
             *second_differences[[before[worst_index], after[worst_index]]]
         )
-        sizes = sizes * factor[worst_index]
+        sizes = sizes * bend_factor[worst_index]
         worst_column = int(np.argmax(sizes))
         size = float(sizes[worst_column])
         if largest_error is None or size > largest_error.size:

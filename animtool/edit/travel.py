@@ -255,7 +255,9 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
         main_joint = travelling_joint(rig, motion, root)
         if main_joint is None:
             continue
-        joints = [root] if main_joint == root else _travelling_joints(rig, motion, root)
+        travelling_joints = (
+            [root] if main_joint == root else _travelling_joints(rig, motion, root)
+        )
         main_joint_frame = joint_frame(rig, end_frames, main_joint)
         rotation_change = so3.multiply(
             main_joint_frame.rotation[1], so3.conjugate(main_joint_frame.rotation[0])
@@ -265,7 +267,7 @@ def cycle_travel(rig: Rig, motion: Motion) -> CycleTravel:
             rotation, main_joint_frame.position[0]
         )
         displacement = displacement - (displacement @ up) * up
-        for joint in joints:
+        for joint in travelling_joints:
             _store_travel(travel, joint, rig, end_frames, rotation, displacement)
     return travel
 

@@ -122,10 +122,10 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
     The new joint takes the child's index; the child's index grows by one.
     """
     old_joints = take.rig.joints
-    joints = [replace(j, parent=j.parent + (j.parent >= child)) for j in old_joints]
-    parent = joints[child].parent
-    joints[child] = replace(joints[child], parent=child)
-    joints.insert(child, Joint(name, parent))
+    new_joints = [replace(j, parent=j.parent + (j.parent >= child)) for j in old_joints]
+    parent = new_joints[child].parent
+    new_joints[child] = replace(new_joints[child], parent=child)
+    new_joints.insert(child, Joint(name, parent))
 
     def insert_row(channel: Channel, neutral: FloatArray) -> Channel:
         """Return a channel with a row for the new joint."""
@@ -135,7 +135,7 @@ def insert_joint(take: Take, name: str, child: int) -> Take:
             channel.values,
         )
 
-    rig = replace(take.rig, joints=tuple(joints))
+    rig = replace(take.rig, joints=tuple(new_joints))
     return _with_changed_channels(take, rig, insert_row)
 
 
@@ -150,7 +150,7 @@ def remove_joint(take: Take, joint: int) -> Take:
     if name in _referenced_joints(rig):
         message = f"the rig's skins, chains or controls refer to {name!r}"
         raise OptionError(Fault("SCN020", message, hint="keep the joint"))
-    joints = []
+    kept_joints = []
     for i, rig_joint in enumerate(rig.joints):
         if rig_joint.parent == joint:
             pose = _relative_pose(rig.joints[joint].rest_pose, rig_joint.rest_pose)
@@ -163,7 +163,7 @@ def remove_joint(take: Take, joint: int) -> Take:
         elif rig_joint.parent > joint:
             rig_joint = replace(rig_joint, parent=rig_joint.parent - 1)  # noqa: PLW2901
         if i != joint:
-            joints.append(rig_joint)
+            kept_joints.append(rig_joint)
 
     def remove_row(channel: Channel, _: FloatArray) -> Channel:
         """Return a channel without the row of the joint."""
@@ -176,7 +176,7 @@ def remove_joint(take: Take, joint: int) -> Take:
         )
 
     bind = _bind_poses_without(rig, joint)
-    smaller_rig = replace(rig, joints=tuple(joints), bind=bind)
+    smaller_rig = replace(rig, joints=tuple(kept_joints), bind=bind)
     return _with_changed_channels(take, smaller_rig, remove_row)
 
 
@@ -351,15 +351,15 @@ def _shortest_rotations(
     ]
     # A segment without length has no direction.
     is_zero = (lengths[0] == 0) | (lengths[1] == 0)
-    a, b = (
+    start_units, end_units = (
         np.divide(v, length, out=np.zeros_like(v), where=length > 0)
         for v, length in zip((start_directions, end_directions), lengths, strict=True)
     )
-    cross = np.cross(a, b)
+    cross = np.cross(start_units, end_units)
     sine = np.linalg.norm(cross, axis=1, keepdims=True)
-    angle = np.arctan2(sine, (a * b).sum(1, keepdims=True))
+    angle = np.arctan2(sine, (start_units * end_units).sum(1, keepdims=True))
     # Half a revolution may be about any perpendicular axis.
-    perpendicular = np.cross(a, np.eye(3)[np.abs(a).argmin(axis=1)])
+    perpendicular = np.cross(start_units, np.eye(3)[np.abs(start_units).argmin(axis=1)])
     axis = np.where(sine < 1e-12, perpendicular, cross)
     axis = axis / np.maximum(np.linalg.norm(axis, axis=1, keepdims=True), 1e-300)
     return so3.exp(np.where(is_zero, 0.0, axis * angle))

@@ -288,13 +288,13 @@ def _build_chain(
         end.translation + tool
         for end, tool in zip(goal_frames, tool_offsets, strict=True)
     ]
-    length = _chain_length(builder, goal_frames, goal_points)
-    scales = np.where(builder.is_length, length, 1.0)
-    nodes, numbers = _node_rows(builder, scales, length)
+    chain_length = _chain_length(builder, goal_frames, goal_points)
+    scales = np.where(builder.is_length, chain_length, 1.0)
+    nodes, node_numbers = _node_rows(builder, scales, chain_length)
     goal_numbers = [
         [
-            *(end.translation / length),
-            *(tool / length),
+            *(end.translation / chain_length),
+            *(tool / chain_length),
             *so3.rotate(end.rotation, np.asarray(goal.aim_axis, np.float64)),
             *goal.weights,
         ]
@@ -307,7 +307,7 @@ def _build_chain(
     ]
     return Chain(
         nodes,
-        numbers,
+        node_numbers,
         np.array(goal_nodes, np.int64),
         np.array(goal_numbers, np.float64),
         np.array([end.rotation for end in goal_frames]),
@@ -321,7 +321,7 @@ def _build_chain(
             for kind, _, _, driver_kind in builder.nodes
             if driver_kind == UNDRIVEN
         ),
-        length,
+        chain_length,
     )
 
 

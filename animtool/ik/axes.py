@@ -44,14 +44,16 @@ def limb_target(
     if position_value is None:
         return None
     joints_to_root = path_to_root(rig, track.goal.joint, track.goal.root)
-    positions = rest_world(rig).positions[0]
-    bones = positions[joints_to_root[:-1]] - positions[joints_to_root[1:]]
+    rest_positions = rest_world(rig).positions[0]
+    bones = rest_positions[joints_to_root[:-1]] - rest_positions[joints_to_root[1:]]
     length = float(np.linalg.norm(bones, axis=1).sum())
     fps = solved_take.take.clock.fps
     point = position_value.sample(SampleFrames(np.array([frame]), fps))[0]
     if not abs(point).max() < MAX_DISTANCE:
         return None
-    return LimbTarget(point, joints_to_root[-1], positions[joints_to_root[-1]], length)
+    return LimbTarget(
+        point, joints_to_root[-1], rest_positions[joints_to_root[-1]], length
+    )
 
 
 def up_axis_hint(rig: Rig, target: LimbTarget | None) -> str | None:
@@ -92,14 +94,14 @@ def space_hint(rig: Rig, target: LimbTarget | None) -> str | None:
     """
     if target is None or not _is_out_of_reach(target):
         return None
-    positions = rest_world(rig).positions[0]
+    rest_positions = rest_world(rig).positions[0]
     for joint in (rig.upwards(target.root)[-1], target.root):
-        offset = positions[joint] + target.point - target.origin
+        offset = rest_positions[joint] + target.point - target.origin
         if float(np.linalg.norm(offset)) <= target.length:
             return (
                 "positions are in world space: if this one is relative to "
                 f"{rig.names[joint]!r}, add its position at rest, "
-                f"{_point_text(positions[joint])}"
+                f"{_point_text(rest_positions[joint])}"
             )
     return None
 

@@ -122,17 +122,22 @@ def weight_misses(problem: Problem, misses: FloatArray, targets: Targets) -> Flo
     have small weights. The largest weight of a frame is normalised to 1; lengths are
     fractions of the problem's length.
     """
-    weights = np.array([goal.weights for goal in problem.goals])
-    weights = weights * PRIORITY_FACTOR ** problem.chain.goal_nodes[:, 3:4]
+    goal_weights = np.array([goal.weights for goal in problem.goals])
+    goal_weights = goal_weights * PRIORITY_FACTOR ** problem.chain.goal_nodes[:, 3:4]
     if targets.weights is not None:
-        weights = weights * np.asarray(targets.weights, np.float64)
-    largest_weight = weights.max(axis=(-2, -1), keepdims=True)
-    weights = np.divide(
-        weights, largest_weight, out=np.zeros_like(weights), where=largest_weight > 0
+        goal_weights = goal_weights * np.asarray(targets.weights, np.float64)
+    largest_weight = goal_weights.max(axis=(-2, -1), keepdims=True)
+    goal_weights = np.divide(
+        goal_weights,
+        largest_weight,
+        out=np.zeros_like(goal_weights),
+        where=largest_weight > 0,
     )
     relative_misses = misses / by_unit(problem.length, 1.0)
     # Misses of weight 0 may be infinite.
-    return np.asarray(np.where(weights > 0, relative_misses, 0.0) * weights, np.float64)
+    return np.asarray(
+        np.where(goal_weights > 0, relative_misses, 0.0) * goal_weights, np.float64
+    )
 
 
 def miss_cost(misses: FloatArray, is_reached: BoolArray) -> FloatArray:
@@ -235,14 +240,16 @@ def search_long_interval(
         layer = slice(first_path, first_path + SOLUTIONS_PER_SAMPLE)
         reach_rows = slice(max(row - half_span, 0), row + half_span)
         paths[layer, reach_rows] = solutions[:, None]
-        for k in np.flatnonzero(solution_costs == 0):
+        for solution_index in np.flatnonzero(solution_costs == 0):
             for rows in (
                 np.arange(row, min(row + half_span, frame_count)),
                 np.arange(row, max(row - half_span, -1), -1),
             ):
-                poses, reached_count = interval.track(solutions[k], rows)
-                paths[first_path + k, rows[:reached_count]] = poses[:reached_count]
-                costs[first_path + k, rows[:reached_count]] = 0.0
+                poses, reached_count = interval.track(solutions[solution_index], rows)
+                paths[first_path + solution_index, rows[:reached_count]] = poses[
+                    :reached_count
+                ]
+                costs[first_path + solution_index, rows[:reached_count]] = 0.0
     return paths, costs
 
 

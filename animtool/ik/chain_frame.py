@@ -88,21 +88,21 @@ def spans_of_take(
     rig = with_controls(rig, controls, 0)
     problem = build(rig, goals, joints=joints, pose=coordinates[0])
     moving_joints = {rig.index(name) for name in problem.joints}
-    paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
+    goal_paths = [rig.upwards(rig.index(goal.joint)) for goal in goals]
     root_path_indices = [
-        max(i for i, j in enumerate(path) if j in moving_joints) for path in paths
+        max(i for i, j in enumerate(path) if j in moving_joints) for path in goal_paths
     ]
     carrier_joints = [
         rig.parents[path[root_path_index]]
-        for path, root_path_index in zip(paths, root_path_indices, strict=True)
+        for path, root_path_index in zip(goal_paths, root_path_indices, strict=True)
     ]
     path_joints = {
         j
-        for path, root_path_index in zip(paths, root_path_indices, strict=True)
+        for path, root_path_index in zip(goal_paths, root_path_indices, strict=True)
         for j in path[: root_path_index + 1]
     }
     rest_poses = _effective_rest_poses(rig, local, coordinates)
-    pivot_joints = path_joints - _rotation_joints(goals, paths)
+    pivot_joints = path_joints - _rotation_joints(goals, goal_paths)
     is_changed = _is_translated(local), _is_rotated(local)
     leaves_joint_type = _is_translated(rest_poses) | _is_rotated(rest_poses)
     moving_between = [
@@ -124,7 +124,7 @@ def spans_of_take(
     else:
         spans = [slice(0, frame_count)]
     positions, rotations = _carrier_transforms(world, carrier_joints)
-    joints_above_goals = sorted({j for path in paths for j in path})
+    joints_above_goals = sorted({j for path in goal_paths for j in path})
     spans_of_frames = [
         SolveSpan(
             with_controls(

@@ -218,18 +218,18 @@ class ClipPath:
         window_result = with_poses(
             result.select(window), poses, misses, self.frame_path
         )
-        results = [result.select(slice(0, window.start)), window_result]
+        partial_results = [result.select(slice(0, window.start)), window_result]
         later_frames = slice(window.stop, len(self))
         if later_frames.start < len(self):
             previous_end = current_poses[later_frames.start - 1]
             change = np.abs(joint_steps(chain, previous_end, poses[-1])).max()
             if self.is_motion or change < EQUAL_POSE_TOLERANCE:
-                results.append(result.select(later_frames))
+                partial_results.append(result.select(later_frames))
             else:
                 last_pose = window_result.coordinates[-1]
                 starts = np.broadcast_to(last_pose, self.start.shape)
-                results.append(self.solve_frames(later_frames, starts))
-        return _concatenate(results)
+                partial_results.append(self.solve_frames(later_frames, starts))
+        return _concatenate(partial_results)
 
 
 def _concatenate(results: Sequence[IkResult]) -> IkResult:

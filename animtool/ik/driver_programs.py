@@ -137,20 +137,20 @@ class DriverPrograms:
         order = [target for target in self.plan.order if target in needed_targets]
         self._program_index_by_target = {target: i for i, target in enumerate(order)}
         nodes: list[list[int]] = []
-        numbers: list[list[float]] = []
+        instruction_numbers: list[list[float]] = []
         for target, program_index in self._program_index_by_target.items():
             for operation_name, reference, values in self._target_program(target):
                 # The reference is counted from 1: 0 marks joint rows.
                 operation = _OPERATION_NUMBER_BY_NAME[operation_name]
                 nodes.append([INSTRUCTION, program_index, operation, reference + 1])
-                numbers.append([*values, *[0.0] * (6 - len(values))])
+                instruction_numbers.append([*values, *[0.0] * (6 - len(values))])
         return (
             [
                 self._program_index_by_target[target]
                 for target in self.requested_programs
             ],
             nodes,
-            numbers,
+            instruction_numbers,
         )
 
     def _targets_read_by(self, target: str) -> list[str]:

@@ -213,7 +213,7 @@ class _TargetsReader:
             self.document.add("TGT002", location, message, hint)
         used_parts = value_parts | parts_to_hold
         weights = self._read_weights((*location, "weight"), model.weight, used_parts)
-        axes = [
+        aim_axes = [
             self._read_axis((*location, kind.name, "axis"), goal_part.axis)
             for kind in GOAL_KINDS
             if kind.has_axis and (goal_part := getattr(model, kind.name)) is not None
@@ -225,7 +225,7 @@ class _TargetsReader:
         goal = Goal(
             joint,
             (x, y, z),
-            aim_axis=axes[0] if axes else (0.0, 0.0, 1.0),
+            aim_axis=aim_axes[0] if aim_axes else (0.0, 0.0, 1.0),
             root=root,
             priority=model.priority,
             soft=model.soft,
@@ -283,22 +283,22 @@ class _TargetsReader:
         chain: IkChain | None,
     ) -> str | None:
         """Return the root of a goal from the file, else the root of its chain."""
-        name = model.root
-        if name is None:
+        root_name = model.root
+        if root_name is None:
             return None if chain is None else chain.root
         if self.rig is None or joint is None:
-            return name
+            return root_name
         location = (*goal_location, "root")
-        if name not in self.rig.names:
-            message = f"unknown joint {name!r} of {self.rig.name!r}"
-            hint = self.rig.joint_hint(name)
+        if root_name not in self.rig.names:
+            message = f"unknown joint {root_name!r} of {self.rig.name!r}"
+            hint = self.rig.joint_hint(root_name)
             self.document.add("TGT001", location, message, hint)
             return None
-        if self.rig.index(name) not in self.rig.upwards(self.rig.index(joint)):
+        if self.rig.index(root_name) not in self.rig.upwards(self.rig.index(joint)):
             form = "write effector: {joint}, root: {root}"
-            message, hint = root_problem(self.rig, name, joint, form)
+            message, hint = root_problem(self.rig, root_name, joint, form)
             self.document.add("TGT012", location, message, hint)
-        return name
+        return root_name
 
     def _read_spans(
         self, location: Location, spans_in_file: list[list[float]]

@@ -410,8 +410,10 @@ def _value_faults(
     weights = packed_targets[:, :, WEIGHT_COLUMNS]
     is_invalid = ~(np.isfinite(weights) & (weights >= 0)).all(axis=2)
     if is_invalid.any():
-        b, e = (int(i) for i in np.argwhere(is_invalid)[0])
-        message = f"weights[{b}, {e}] are not finite numbers from 0"
+        problem_index, goal_index = (int(i) for i in np.argwhere(is_invalid)[0])
+        message = (
+            f"weights[{problem_index}, {goal_index}] are not finite numbers from 0"
+        )
         faults.append(Fault("TGT007", message))
     for i, kind in enumerate(GOAL_KINDS):
         name = kind.targets_field
@@ -427,6 +429,8 @@ def _value_faults(
             reason = "is not a rotation"
         is_invalid &= is_active[..., i]
         if is_invalid.any():
-            b, e = (int(i) for i in np.argwhere(is_invalid)[0])
-            faults.append(Fault("TGT007", f"{name}[{b}, {e}] {reason}"))
+            problem_index, goal_index = (int(i) for i in np.argwhere(is_invalid)[0])
+            faults.append(
+                Fault("TGT007", f"{name}[{problem_index}, {goal_index}] {reason}")
+            )
     return faults

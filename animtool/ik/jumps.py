@@ -104,30 +104,30 @@ def find_jumps(
     goal_steps = goal_moves[:, None]
     solved_steps = _rotation_steps(solved_poses.rotations)
     source_steps = _rotation_steps(source_poses.rotations)
-    angles = np.linalg.norm(solved_steps, axis=2)
+    solved_angles = np.linalg.norm(solved_steps, axis=2)
     source_angles = np.linalg.norm(source_steps, axis=2)
     if revolutions is not None:
-        angles = angles + revolutions[:, moving_joints]
-    excess_steps = angles - source_angles
-    is_jump = (angles > MAX_ROTATION) & (excess_steps > MIN_JUMP)
+        solved_angles = solved_angles + revolutions[:, moving_joints]
+    excess_steps = solved_angles - source_angles
+    is_jump = (solved_angles > MAX_ROTATION) & (excess_steps > MIN_JUMP)
     is_jump |= excess_steps > jump_threshold(fps)
     is_jump |= _find_isolated_steps(excess_steps, goal_steps)
     is_pop = find_rotation_pops(solved_steps, 1.0 / fps, is_cut_before)[0]
     is_jump |= is_pop & ~find_rotation_pops(source_steps, 1.0 / fps, is_cut_before)[0]
-    jumps = _jumps_at(joint_names, is_jump, angles, source_angles, goal_steps)
+    jumps = _jumps_at(joint_names, is_jump, solved_angles, source_angles, goal_steps)
     solved_steps = np.diff(solved_poses.translations, axis=0)
     source_steps = np.diff(source_poses.translations, axis=0)
-    sizes, source_sizes = (
+    solved_sizes, source_sizes = (
         np.linalg.norm(steps, axis=2) / length for steps in (solved_steps, source_steps)
     )
-    excess_steps = sizes - source_sizes
+    excess_steps = solved_sizes - source_sizes
     is_jump = excess_steps > jump_threshold(fps)
     is_jump |= _find_isolated_steps(excess_steps, goal_steps)
     pop_limits = (1.0 / fps, is_cut_before, MIN_SLIDE * length, SLIDE_NOISE * length)
     is_pop = find_translation_pops(solved_steps, *pop_limits)[0]
     is_jump |= is_pop & ~find_translation_pops(source_steps, *pop_limits)[0]
     jumps += _jumps_at(
-        joint_names, is_jump, sizes, source_sizes, goal_steps, length=length
+        joint_names, is_jump, solved_sizes, source_sizes, goal_steps, length=length
     )
     return tuple(sorted(jumps, key=lambda jump: jump.frame))
 

@@ -39,18 +39,20 @@ def limb_joints(
     """
     min_bone = MIN_BONE_FRACTION * (np.ptp(origins, axis=0).max() + 1e-300)
     joints: list[int] = []
-    lengths: list[float] = []
+    bone_lengths: list[float] = []
     end_point, j = point, rig.index(goal.joint)
     while j >= 0 and (goal.root is not None or len(joints) < 2):
         bone = float(np.linalg.norm(origins[j] - end_point))
         if j in moving_joints and bone > min_bone:
             joints.append(j)
-            lengths.append(bone + (lengths[-1] if lengths else 0.0))
+            bone_lengths.append(bone + (bone_lengths[-1] if bone_lengths else 0.0))
             end_point = origins[j]
         j = -1 if rig.joints[j].name == goal.root else rig.joints[j].parent
     if len(joints) < 2:
         return None
-    distance_to_end = [min(length, lengths[-1] - length) for length in lengths[:-1]]
+    distance_to_end = [
+        min(length, bone_lengths[-1] - length) for length in bone_lengths[:-1]
+    ]
     return joints[-1], joints[distance_to_end.index(max(distance_to_end))]
 
 
@@ -77,17 +79,17 @@ def find_limbs(
     """
     limbs, faults = [], []
     stretched_joints: set[int] = set()
-    for e, goal in enumerate(goals):
+    for goal_index, goal in enumerate(goals):
         if not (goal.soft > 0 or goal.stretch > 0):
             continue
-        limb = _goal_limb(rig, goal, e, moving_joints, chain)
+        limb = _goal_limb(rig, goal, goal_index, moving_joints, chain)
         message = _limb_fault(rig, goal, limb, moving_joints, chain)
         if goal.stretch > 0 and stretched_joints & set(limb.joints):
             message = "another goal already stretches its bones"
         if goal.stretch > 0:
             stretched_joints |= set(limb.joints)
         if message:
-            faults.append(Fault("IK008", message, where=f"goals[{e}]"))
+            faults.append(Fault("IK008", message, where=f"goals[{goal_index}]"))
         limbs.append(limb)
     return tuple(limbs), faults
 

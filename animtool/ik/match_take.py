@@ -108,19 +108,21 @@ def match_take(
     )
     matched_limbs = match(smaller_rig, chains, world)
     clock = take.clock
-    first = Fraction(float(clock.start))
-    last = Fraction(float(clock.last))
+    first_frame = Fraction(float(clock.start))
+    last_frame = Fraction(float(clock.last))
     writes_keys = clock.count <= MAX_KEYED_FRAMES or clock.step != 1
     # Arrays have a row for each frame of the file's range.
-    writes_keys = writes_keys or last - first != clock.count - 1 or "#" in path.name
+    writes_keys = (
+        writes_keys or last_frame - first_frame != clock.count - 1 or "#" in path.name
+    )
     array_file = None if writes_keys else array_file_of(path).name
     units = ClipUnits.of_rig(take.rig)
-    value_builder = _ValueBuilder(clock, units, array_file, first, reduce)
+    value_builder = _ValueBuilder(clock, units, array_file, first_frame, reduce)
     goals = tuple(
         _goal_track(take.rig, chain, e, matched_limbs, value_builder)
         for e, chain in enumerate(chains)
     )
-    return TargetTracks(path, clock.fps, first, last, goals)
+    return TargetTracks(path, clock.fps, first_frame, last_frame, goals)
 
 
 def untracked_motion_notices(take: Take, chains: Sequence[IkChain]) -> list[Fault]:
@@ -252,16 +254,16 @@ class _ValueBuilder:
     ) -> SampledValue:
         """Fit sparse keys that stay within the tolerance of the rows."""
         if rows.shape[1] == 3:
-            keys = fit_keys(rows, tolerance)
+            fitted_keys = fit_keys(rows, tolerance)
             channel = fitted_channel(
-                _TRANSLATION_TARGET, keys, self.clock, self.units.length
+                _TRANSLATION_TARGET, fitted_keys, self.clock, self.units.length
             )
             return KeyedValue(channel)
         order = euler_order(joint, rows)
         # Three rotations within a tolerance compose to at most sqrt(3) times it.
         angle = math.degrees(tolerance / SHELL_DISTANCE) / math.sqrt(3)
-        keys = fit_keys(euler.from_quaternion(rows, order), angle)
+        fitted_keys = fit_keys(euler.from_quaternion(rows, order), angle)
         unit = self.units.angle
         return KeyedValue(
-            fitted_channel(_ROTATION_TARGET, keys, self.clock, unit, order)
+            fitted_channel(_ROTATION_TARGET, fitted_keys, self.clock, unit, order)
         )

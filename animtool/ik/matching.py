@@ -83,10 +83,12 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
     positions, poles = np.zeros((2, *shape, 3))
     rotations = np.zeros((*shape, 4))
     goals = []
-    for e, chain in enumerate(chains):
+    for goal_index, chain in enumerate(chains):
         tip = rig.index(chain.tip)
-        positions[:, e] = world.positions[:, tip]
-        rotations[:, e] = so3.align_signs(so3.split_scale(world.linear[:, tip])[0])
+        positions[:, goal_index] = world.positions[:, tip]
+        rotations[:, goal_index] = so3.align_signs(
+            so3.split_scale(world.linear[:, tip])[0]
+        )
         goal = Goal(
             chain.tip,
             position=float(chain.goal in {"position", "pose"}),
@@ -97,7 +99,7 @@ def match(rig: Rig, chains: Sequence[IkChain], world: WorldTransforms) -> Matche
         limb = _bending_limb(rig, chain, goal, rest_transforms)
         if limb is not None:
             goal = replace(goal, pole=1.0)
-            poles[:, e] = _pole_positions(limb, world)
+            poles[:, goal_index] = _pole_positions(limb, world)
         goals.append(goal)
     return Matched(tuple(goals), Targets(positions, rotations, poles=poles))
 
@@ -134,10 +136,10 @@ def _bending_limb(
     if joints is None:
         return None
     root, middle = joints
-    length, j = 0.0, tip
+    limb_length, j = 0.0, tip
     while j != root:
         parent = rig.joints[j].parent
-        length += float(np.linalg.norm(origins[j] - origins[parent]))
+        limb_length += float(np.linalg.norm(origins[j] - origins[parent]))
         j = parent
     # The pole direction is in the frame of the parent of the chain's root.
     parent_index = rig.joints[rig.index(chain.root)].parent
@@ -146,7 +148,7 @@ def _bending_limb(
     default_side = rest.linear[0, root].T @ parent_rotation @ pole_direction
     is_hinge = rig.joints[middle].type is JointType.PIN
     hinge_axis = np.array(rig.joints[middle].axis) if is_hinge else np.zeros(3)
-    return _BendingLimb(root, middle, tip, length, default_side, hinge_axis)
+    return _BendingLimb(root, middle, tip, limb_length, default_side, hinge_axis)
 
 
 def _pole_positions(limb: _BendingLimb, world: WorldTransforms) -> FloatArray:

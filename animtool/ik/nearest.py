@@ -125,14 +125,14 @@ def _joint_limit_poses(
     chain: Chain, start: FloatArray, max_pose_count: int
 ) -> Iterator[FloatArray]:
     """Yield at most ``max_pose_count`` poses that combine the first joints' limits."""
-    ranges = []
+    limits_of_joints = []
     for (kind, _, column, driver_kind), numbers in zip(
         chain.nodes[:, :4], with_periods(chain), strict=True
     ):
         low, high = numbers[14:16]
         if kind != BALL and not driver_kind and np.isfinite([low, high]).all():
-            ranges.append((int(column), (low, (low + high) / 2, high)))
-    combined_ranges = ranges[: int(np.log(max_pose_count) / np.log(3))]
+            limits_of_joints.append((int(column), (low, (low + high) / 2, high)))
+    combined_ranges = limits_of_joints[: int(np.log(max_pose_count) / np.log(3))]
     for values in product(*(values for _, values in combined_ranges)):
         pose = start.copy()
         pose[[column for column, _ in combined_ranges]] = values

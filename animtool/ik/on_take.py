@@ -189,7 +189,7 @@ def _solve_take(
     goals = [track.goal for track in tracks.goals]
     typed_rig = with_ball_joints(take.rig)
     rig, joint_indices = sub_rig(typed_rig, (goal.joint for goal in goals))
-    joints = _movable_joint_names(take.rig, rig, options)
+    movable_names = _movable_joint_names(take.rig, rig, options)
     local = LocalTransforms(
         take.motion.translations.gather(joint_indices),
         take.motion.rotations.gather(joint_indices),
@@ -206,9 +206,11 @@ def _solve_take(
             selection = _select_frame(take, local, world, targets, only)
             take, local, world, targets = selection
         rate = float(take.clock.rate)
-        solver = TakeSolver(rig, tracks, targets, world, options, joints, static, rate)
+        solver = TakeSolver(
+            rig, tracks, targets, world, options, movable_names, static, rate
+        )
         controls = _control_values(rig, take)
-        solve_spans = spans_of_take(rig, local, world, goals, joints, controls)
+        solve_spans = spans_of_take(rig, local, world, goals, movable_names, controls)
         for span in solve_spans.spans:
             span_solutions.append(solver.solve_span(span))
             progress(span_solutions[-1].span.frames.stop / take.clock.count)
@@ -242,23 +244,27 @@ def _find_open_poles(
         motion.rotations.gather(joint_indices),
     )
     is_on_line = np.zeros(is_part_active.shape[:2], np.bool_)
-    for e, track in enumerate(solved_take.tracks.goals):
-        is_active = is_part_active[:, e, GOAL_PARTS.index("pole")]
+    for goal_index, track in enumerate(solved_take.tracks.goals):
+        is_active = is_part_active[:, goal_index, GOAL_PARTS.index("pole")]
         effector = FreeEffector(rig, track.goal, world)
         limb = effector.limb() if is_active.any() else None
         if limb is None:
             continue
-        points = effector.position()
+        goal_points = effector.position()
         root, middle = (world.positions[:, j] for j in limb)
         # The effector is off its position where the pole leads astray.
-        has_position = is_part_active[:, e, GOAL_PARTS.index("position")]
-        positions = np.asarray(targets.positions)[:, e]
-        ends = np.where(has_position[:, None], positions, points)
+        has_position = is_part_active[:, goal_index, GOAL_PARTS.index("position")]
+        positions = np.asarray(targets.positions)[:, goal_index]
+        ends = np.where(has_position[:, None], positions, goal_points)
         length = np.linalg.norm(middle - root, axis=1)
-        length += np.linalg.norm(points - middle, axis=1)
-        pole_distance = _line_distances(np.asarray(targets.poles)[:, e], root, ends)
-        is_bent = _line_distances(middle, root, points) > STRAIGHT_TOLERANCE * length
-        is_on_line[:, e] = (
+        length += np.linalg.norm(goal_points - middle, axis=1)
+        pole_distance = _line_distances(
+            np.asarray(targets.poles)[:, goal_index], root, ends
+        )
+        is_bent = (
+            _line_distances(middle, root, goal_points) > STRAIGHT_TOLERANCE * length
+        )
+        is_on_line[:, goal_index] = (
             is_active & is_bent & (pole_distance < ON_LINE_TOLERANCE * length)
         )
     return is_on_line
@@ -292,14 +298,18 @@ def _min_target_distances(
     goals: Sequence[Goal], rig: Rig, world: WorldTransforms, targets: Targets
 ) -> tuple[float, ...]:
     """Return the smallest distance of each goal's targets from its effector [m]."""
-    distances = []
+    smallest_distances = []
     for e, goal in enumerate(goals):
         is_active = np.asarray(targets.weights)[:, e, 0] * goal.position > 0
         points = FreeEffector(rig, goal, world).position()[is_active]
         offsets = np.asarray(targets.positions)[is_active, e] - points
         # The largest component needs no square, which would overflow for huge numbers.
-        distances.append(float(np.abs(offsets).max(axis=1).min(initial=np.inf)))
-    return tuple(0.0 if distance == np.inf else distance for distance in distances)
+        smallest_distances.append(
+            float(np.abs(offsets).max(axis=1).min(initial=np.inf))
+        )
+    return tuple(
+        0.0 if distance == np.inf else distance for distance in smallest_distances
+    )
 
 
 def _broadcast_world(

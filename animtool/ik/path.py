@@ -84,7 +84,7 @@ class FramePath:
         Long paths are smoothed in blocks. Each continues the previous one and looks
         ahead as far as later frames matter.
         """
-        weights = (1.0, 0.0, acceleration)
+        term_weights = (1.0, 0.0, acceleration)
         lookahead_frames = math.ceil(LOOKAHEAD_FACTOR * acceleration**0.25)
         block_size = max(MIN_BLOCK_FRAMES, 4 * lookahead_frames)
         smooth_poses = np.zeros_like(poses)
@@ -101,7 +101,7 @@ class FramePath:
             )
             moving_range = (block_start - window_start, len(start_poses))
             path, path_misses = self.select_frames(window)._run_kernel(
-                start_poses, weights, moving_range, MAX_ITERATIONS
+                start_poses, term_weights, moving_range, MAX_ITERATIONS
             )
             block = slice(block_start - window_start, block_end - window_start)
             smooth_poses[block_start:block_end] = path[block]
@@ -192,15 +192,15 @@ def goal_steps(problem: Problem, targets: FloatArray) -> FloatArray:
     is_weighted = targets[:, :, WEIGHT_COLUMNS] > 0
     is_active = is_weighted[1:] & is_weighted[:-1]
     is_used = np.array([goal.weights for goal in problem.goals]) > 0
-    steps = np.zeros(is_active.shape)
+    steps_of_goals = np.zeros(is_active.shape)
     for i, kind in enumerate(GOAL_KINDS):
         values = targets[:, :, TARGET_COLUMNS[kind.name]]
         if kind.is_rotation:
-            steps[:, :, i] = so3.angle_between(values[1:], values[:-1])
+            steps_of_goals[:, :, i] = so3.angle_between(values[1:], values[:-1])
         else:
-            steps[:, :, i] = np.linalg.norm(np.diff(values, axis=0), axis=2)
-    steps = np.where(is_active & is_used, steps, 0.0)
-    return np.asarray(steps.max(axis=(1, 2), initial=0.0))
+            steps_of_goals[:, :, i] = np.linalg.norm(np.diff(values, axis=0), axis=2)
+    steps_of_goals = np.where(is_active & is_used, steps_of_goals, 0.0)
+    return np.asarray(steps_of_goals.max(axis=(1, 2), initial=0.0))
 
 
 def find_clip_jumps(

@@ -188,7 +188,7 @@ def _input_faults(
 ) -> list[Fault]:
     """Return the faults in goals and options that need no geometry to find."""
     faults = [] if goals else [Fault("IK006", "the problem has no goals")]
-    names = set(rig.names)
+    joint_names = set(rig.names)
     for i, goal in enumerate(goals):
         faults += goal_faults(goal, rig, f"goals[{i}]")
     if isinstance(joints, str):
@@ -196,7 +196,7 @@ def _input_faults(
         faults.append(Fault("TGT001", message))
         joints = ()
     for name in joints or ():
-        if name not in names:
+        if name not in joint_names:
             message = f"unknown joint {excerpt(name)} of {rig.name!r}"
             faults.append(Fault("TGT001", message, hint=rig.joint_hint(name)))
     faults += rest_weight_faults(rest_weight)
@@ -242,16 +242,16 @@ def find_moving_joints(
         # A joint does not move a point at its origin.
         ignores_rotation = goal.ignores_joint_rotation
         while j >= 0:
-            joint = rig.joints[j]
-            is_rotating = joint.type in {JointType.PIN, JointType.BALL}
-            is_allowed = joints is None or joint.name in joints
-            is_fixed = joint.type is JointType.FIXED
+            rig_joint = rig.joints[j]
+            is_rotating = rig_joint.type in {JointType.PIN, JointType.BALL}
+            is_allowed = joints is None or rig_joint.name in joints
+            is_fixed = rig_joint.type is JointType.FIXED
             if is_allowed and not is_fixed and not (ignores_rotation and is_rotating):
                 moving_joints.add(j)
-            is_sliding = joint.type in {JointType.FREE, JointType.PRISMATIC}
-            if is_sliding or any(joint.translation):
+            is_sliding = rig_joint.type in {JointType.FREE, JointType.PRISMATIC}
+            if is_sliding or any(rig_joint.translation):
                 ignores_rotation = False
-            j = -1 if joint.name == goal.root else joint.parent
+            j = -1 if rig_joint.name == goal.root else rig_joint.parent
     moving_joints = _with_followers(rig, goals, joints, moving_joints)
     if rig.is_driven:
         moving_joints = with_driver_sources(rig, moving_joints, goals, joints)

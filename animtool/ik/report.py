@@ -216,20 +216,21 @@ def pole_notices(solved_take: TakeIk) -> list[Fault]:
     if solved_take.open_poles is None:
         return []
     times, notices = solved_take.take.clock.times, []
-    for e, track in enumerate(solved_take.tracks.goals):
-        is_open = solved_take.open_poles[:, e]
+    for goal_index, track in enumerate(solved_take.tracks.goals):
+        is_open = solved_take.open_poles[:, goal_index]
         if not is_open.any():
             continue
-        spans = [
+        span_texts = [
             _span_text(times[first], times[end - 1]) for first, end in runs(is_open)
         ]
         noun = "frame" if is_open.sum() == 1 else "frames"
         message = (
             f"the pole of {track.name!r} is on the line from the root of the limb to "
-            f"its end at {noun} {listed(spans, 4)}: the limb may bend in any direction"
+            f"its end at {noun} {listed(span_texts, 4)}: the limb may bend in any "
+            "direction"
         )
         hint = "move the pole to the side on which the middle joint is to be"
-        notices.append(_goal_warning(solved_take, "IK103", e, message, hint))
+        notices.append(_goal_warning(solved_take, "IK103", goal_index, message, hint))
     return notices
 
 
@@ -242,8 +243,8 @@ def crossed_notices(solved_take: TakeIk) -> list[Fault]:
         message += "their limits"
         hint = "if the targets of left and right are exchanged, swap the effectors, or "
         hint += "their offsets"
-        e = min(left, right)
-        notices.append(_goal_warning(solved_take, "TGT111", e, message, hint))
+        goal_index = min(left, right)
+        notices.append(_goal_warning(solved_take, "TGT111", goal_index, message, hint))
     return notices
 
 
@@ -277,17 +278,19 @@ def _root_hint(solved_take: TakeIk) -> str | None:
     rig = solved_take.take.rig
     goals = [track.goal for track in solved_take.tracks.goals]
     ancestor_lists = [rig.upwards(rig.index(goal.joint)) for goal in goals]
-    for e, (goal, ancestors) in enumerate(zip(goals, ancestor_lists, strict=True)):
+    for goal_index, (goal, ancestors) in enumerate(
+        zip(goals, ancestor_lists, strict=True)
+    ):
         if goal.root is not None:
             continue
         for child, joint in pairwise(ancestors):
             moves_other_goals = any(
                 joint in other_ancestors
                 for k, other_ancestors in enumerate(ancestor_lists)
-                if k != e
+                if k != goal_index
             )
             if moves_other_goals and rig.joints[joint].type is JointType.FREE:
-                name = solved_take.tracks.goals[e].name
+                name = solved_take.tracks.goals[goal_index].name
                 return (
                     f"the free joint {rig.names[joint]!r} moves for {name!r} and moves "
                     f"other goals too: 'root: {rig.names[child]}' keeps it still"
@@ -426,16 +429,16 @@ def _straightening_goal(solved_take: TakeIk, worst_jump: Jump) -> str | None:
     if rig.joints[rig.index(worst_jump.joint)].type is not JointType.PIN:
         return None
     rows = slice(worst_jump.frame - 1, worst_jump.frame + 1)
-    for e, track in enumerate(solved_take.tracks.goals):
-        is_missed = solved_take.misses[rows, e, 0] > MISSED_LENGTH
-        is_always_active = solved_take.active[rows, e, 0].all()
+    for goal_index, track in enumerate(solved_take.tracks.goals):
+        is_missed = solved_take.misses[rows, goal_index, 0] > MISSED_LENGTH
+        is_always_active = solved_take.active[rows, goal_index, 0].all()
         snaps_straight = (
             is_always_active and is_missed[0] != is_missed[1] and not track.goal.soft
         )
         if (
             snaps_straight
             and worst_jump.joint in _names_to_root(solved_take, track)
-            and _may_be_soft(solved_take, e)
+            and _may_be_soft(solved_take, goal_index)
         ):
             return track.name
     return None
@@ -456,14 +459,15 @@ def far_target_notices(solved_take: TakeIk, reports: list[GoalReport]) -> list[F
     Missed goals get another warning.
     """
     notices = []
-    for i, (report, distance) in enumerate(
+    for i, (report, target_distance) in enumerate(
         zip(reports, solved_take.target_distances, strict=True)
     ):
-        if report.spans or not distance > FAR_TARGET_RATIO * solved_take.size:
+        if report.spans or not target_distance > FAR_TARGET_RATIO * solved_take.size:
             continue
         message = (
-            f"the targets of {report.name!r} are at least {length_text(distance)} from "
-            f"its start, but the rig is {length_text(solved_take.size)} large"
+            f"the targets of {report.name!r} are at least "
+            f"{length_text(target_distance)} from its start, but the rig is "
+            f"{length_text(solved_take.size)} large"
         )
         notice = _goal_warning(solved_take, "TGT106", i, message, UNITS_QUESTION)
         notices.append(notice)

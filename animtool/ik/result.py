@@ -147,15 +147,19 @@ class IkResult:
     def notices(self) -> list[Fault]:
         """Warning about goals so far away that their unit looks wrong (IK104)."""
         rig = self.problem.rig
-        size = rest_size(rig)
-        distances = self.positions.max(axis=0, initial=0.0)
-        far_goals = np.flatnonzero(distances > MAX_GOAL_DISTANCE * size).tolist()
-        if not size or not far_goals:
+        rig_size = rest_size(rig)
+        largest_misses = self.positions.max(axis=0, initial=0.0)
+        far_goals = np.flatnonzero(
+            largest_misses > MAX_GOAL_DISTANCE * rig_size
+        ).tolist()
+        if not rig_size or not far_goals:
             return []
-        goal = max(far_goals, key=lambda i: float(distances[i]))
+        goal = max(far_goals, key=lambda i: float(largest_misses[i]))
         name = self.problem.goals[goal].joint
-        message = f"the goal of {name!r} is {length_text(float(distances[goal]))} out "
-        message += f"of reach, and {rig.name!r} measures {length_text(size)}"
+        message = (
+            f"the goal of {name!r} is {length_text(float(largest_misses[goal]))} out "
+        )
+        message += f"of reach, and {rig.name!r} measures {length_text(rig_size)}"
         hint = "positions are in metres: divide those in centimetres by 100"
         return [warning("IK104", message, hint)]
 

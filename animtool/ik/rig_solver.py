@@ -100,7 +100,7 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
     limbs, limb_numbers = limb_arrays(problem.limbs)
     stretching_bones = [[j, limb.goal] for limb in problem.limbs for j in limb.joints]
     mimic_columns, mimic_numbers = _mimic_columns(rig, problem.joints)
-    types, columns, axes = rig.joint_arrays
+    types, joint_columns, joint_axes = rig.joint_arrays
     return {
         "nodes": chain.nodes,
         "numbers": chain.node_numbers,
@@ -120,8 +120,8 @@ def _kernel_arrays(problem: Problem) -> dict[str, Any]:
         "limb_joints": np.array(stretching_bones, np.int64).reshape(-1, 2),
         "parents": rig.parents,
         "types": types,
-        "joint_columns": columns,
-        "axes": axes,
+        "joint_columns": joint_columns,
+        "axes": joint_axes,
         "rest_translations": rig.rest_translations,
         "rest_rotations": rig.rest_rotations,
     }
@@ -135,19 +135,21 @@ def _mimic_columns(
     Lead joints come before their mimics. A rig with drivers has none: drivers evaluate
     mimics too.
     """
-    names = [] if rig.is_driven else find_mimics(rig, moving_names)
+    follower_names = [] if rig.is_driven else find_mimics(rig, moving_names)
     slices = coordinate_slices(rig)
     columns, gains_and_offsets = [], []
-    ready_names = set(rig.names) - set(names)
+    ready_names = set(rig.names) - set(follower_names)
     mimic_of = {j.name: j.mimic for j in rig.joints if j.mimic is not None}
-    while names:
-        ready_mimics = [n for n in names if mimic_of[n].joint in ready_names] or names
+    while follower_names:
+        ready_mimics = [
+            n for n in follower_names if mimic_of[n].joint in ready_names
+        ] or follower_names
         for name in ready_mimics:
             mimic_and_leader = rig.index(name), rig.index(mimic_of[name].joint)
             columns.append([slices[index].start for index in mimic_and_leader])
             gains_and_offsets.append([mimic_of[name].gain, mimic_of[name].offset])
         ready_names.update(ready_mimics)
-        names = [name for name in names if name not in ready_names]
+        follower_names = [name for name in follower_names if name not in ready_names]
     return (
         np.array(columns, np.int64).reshape(-1, 2),
         np.array(gains_and_offsets, np.float64).reshape(-1, 2),

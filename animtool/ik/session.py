@@ -276,17 +276,19 @@ class Session:
             pose=pose,
             rest_weight=self._rest_weight,
         )
-        targets = np.zeros((1, len(goals), WEIGHT_COLUMNS.stop))
-        targets[:, :, TARGET_COLUMNS["orientation"].stop - 1] = 1.0
-        targets[:, :, WEIGHT_COLUMNS] = 1.0
+        target_buffer = np.zeros((1, len(goals), WEIGHT_COLUMNS.stop))
+        target_buffer[:, :, TARGET_COLUMNS["orientation"].stop - 1] = 1.0
+        target_buffer[:, :, WEIGHT_COLUMNS] = 1.0
         views = [
-            targets[0, e, TARGET_COLUMNS[kind.name]]
+            target_buffer[0, e, TARGET_COLUMNS[kind.name]]
             for e, goal in enumerate(goals)
             for kind in goal.kinds
         ]
         solver = build_solver(problem, self.options)
         has_branches = closed_form(problem) is ClosedForm.ARM
-        return _PackedProblem(problem, solver, has_branches, targets, tuple(views))
+        return _PackedProblem(
+            problem, solver, has_branches, target_buffer, tuple(views)
+        )
 
 
 def _goals_by_name(

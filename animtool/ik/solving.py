@@ -167,12 +167,19 @@ def solve_in_frame(
 
 def result_of_kernel(problem: Problem, solution: KernelSolution) -> IkResult:
     """Convert the output of a kernel solver to a result."""
-    coordinates, misses, reports, seconds, reached, bone_scales, positions, linear = (
-        solution
-    )
+    (
+        coordinates,
+        misses,
+        reports,
+        seconds,
+        reached,
+        bone_scales,
+        world_positions,
+        linear,
+    ) = solution
     if problem.rig.is_driven:
         coordinates = with_mimics(problem.rig, coordinates, problem.joints)
-        positions = positions[:0]
+        world_positions = world_positions[:0]
     result = IkResult(
         problem,
         coordinates,
@@ -184,9 +191,9 @@ def result_of_kernel(problem: Problem, solution: KernelSolution) -> IkResult:
         reached,
         bone_scales,
     )
-    if not len(positions):
+    if not len(world_positions):
         return result
-    return result.with_world(WorldTransforms(positions, linear))
+    return result.with_world(WorldTransforms(world_positions, linear))
 
 
 def pack_for_chain(problem: Problem, targets: Targets) -> FloatArray:
@@ -209,13 +216,16 @@ def _pull_to_preferred(
     Otherwise redundant joints would be as random as the starts.
     """
     is_redundant = problem.degrees > problem.rows
-    rows = np.flatnonzero((result.descents > 1) & result.reached.all(axis=1))
+    restarted_rows = np.flatnonzero((result.descents > 1) & result.reached.all(axis=1))
     has_preference = problem.rest_weight > 0 or options.seconds > 0
-    if not is_redundant or has_preference or not len(rows):
+    if not is_redundant or has_preference or not len(restarted_rows):
         return result
     pull_options = replace(options, method=IkMethod.DAMPED, restarts=0)
-    targets, preferred_poses = packed_targets[rows], preferred_poses[rows]
-    poses, pulled_result = result.coordinates[rows], result
+    targets, preferred_poses = (
+        packed_targets[restarted_rows],
+        preferred_poses[restarted_rows],
+    )
+    poses, pulled_result = result.coordinates[restarted_rows], result
     for weight in PULL_WEIGHTS:
         solver = build_solver(replace(problem, rest_weight=weight), pull_options)
         solution = solver.solve(
@@ -227,11 +237,14 @@ def _pull_to_preferred(
     preferred_coordinates = chain.from_rig(preferred_poses)
     distance_before, distance_after = (
         np.linalg.norm(joint_steps(chain, preferred_coordinates, q), axis=1)
-        for q in (chain.from_rig(result.coordinates[rows]), chain.from_rig(poses))
+        for q in (
+            chain.from_rig(result.coordinates[restarted_rows]),
+            chain.from_rig(poses),
+        )
     )
     is_improved = pulled_result.reached.all(axis=1) & (distance_after < distance_before)
-    result.coordinates[rows[is_improved]] = poses[is_improved]
-    result.misses[rows[is_improved]] = pulled_result.misses[is_improved]
+    result.coordinates[restarted_rows[is_improved]] = poses[is_improved]
+    result.misses[restarted_rows[is_improved]] = pulled_result.misses[is_improved]
     return result
 
 
@@ -271,15 +284,15 @@ def pose_rows(
 ) -> FloatArray:
     """Return poses ``(B, Q)``, by default the problem's; a single pose is repeated."""
     coordinate_count = problem.coordinates
-    rows = problem.pose if pose is None else np.asarray(pose, np.float64)
-    if rows.shape not in {(coordinate_count,), (batch_size, coordinate_count)}:
+    poses = problem.pose if pose is None else np.asarray(pose, np.float64)
+    if poses.shape not in {(coordinate_count,), (batch_size, coordinate_count)}:
         message = f"{name} must have shape ({coordinate_count},) or "
         message += f"({batch_size}, {coordinate_count})"
-        raise OptionError(Fault("IK012", f"{message}, not {rows.shape}"))
-    if not np.isfinite(rows).all():
+        raise OptionError(Fault("IK012", f"{message}, not {poses.shape}"))
+    if not np.isfinite(poses).all():
         raise OptionError(Fault("IK013", f"{name} is not finite"))
     repeated_rows = np.empty((batch_size, coordinate_count))
-    repeated_rows[:] = rows
+    repeated_rows[:] = poses
     return repeated_rows
 
 
@@ -345,7 +358,7 @@ def _method_obstacle(problem: Problem, method: IkMethod) -> str | None:
         reason = two_bone_obstacle(problem)
         return reason and f"does not apply: {reason}"
     simple_methods = {IkMethod.CCD, IkMethod.FABRIK}
-    kinds = [kind for goal in problem.goals for kind in goal.kinds]
+    goal_kinds = [kind for goal in problem.goals for kind in goal.kinds]
     sliding_names = listed(_translating_joints(problem))
     has_priorities = bool(problem.chain.goal_nodes[:, 3].any())
     rules = [
@@ -357,10 +370,10 @@ def _method_obstacle(problem: Problem, method: IkMethod) -> str | None:
         (problem.rest_weight > 0, simple_methods, "ignores the preferred pose"),
         *(
             (not kind.supports_ccd, simple_methods, f"ignores {kind.targets_field}")
-            for kind in kinds
+            for kind in goal_kinds
         ),
         (
-            any(kind.depends_on_rotation for kind in kinds),
+            any(kind.depends_on_rotation for kind in goal_kinds),
             {IkMethod.FABRIK},
             "is for positions only",
         ),

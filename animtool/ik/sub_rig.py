@@ -55,16 +55,18 @@ def with_mimics(
         return coordinates
     if rig.is_driven:
         driven_names = {rig.names[j] for j in plan_of(rig).joints}
-        mimic_names = [name for name in mimic_names if name not in driven_names]
+        mimic_names = [
+            mimic_name for mimic_name in mimic_names if mimic_name not in driven_names
+        ]
     slices, coordinates = coordinate_slices(rig), coordinates.copy()
     # Repeated for each name, so that chains of mimics are resolved.
     for _ in mimic_names:
-        for name in mimic_names:
-            mimic = rig.joints[rig.index(name)].mimic
+        for mimic_name in mimic_names:
+            mimic = rig.joints[rig.index(mimic_name)].mimic
             assert mimic is not None
             leader_coordinates = coordinates[:, slices[rig.index(mimic.joint)]]
             mimicked_coordinates = mimic.gain * leader_coordinates + mimic.offset
-            coordinates[:, slices[rig.index(name)]] = mimicked_coordinates
+            coordinates[:, slices[rig.index(mimic_name)]] = mimicked_coordinates
     return (
         driven_coordinates(plan_of(rig), coordinates) if rig.is_driven else coordinates
     )

@@ -68,16 +68,16 @@ def warn_of_seconds(
         frames: First and last frame of its range; None if it has none.
         goals: Goals of the file.
     """
-    times = [
+    key_times = [
         value.channel.times
         for track in goals
         for value in (*track.values.values(), *track.weights.values())
         if isinstance(value, KeyedValue)
     ]
-    times += [
+    key_times += [
         np.array(span) for track in goals for span in (*track.spans, *track.during)
     ]
-    message_and_hint = seconds_texts(times, fps, frames)
+    message_and_hint = seconds_texts(key_times, fps, frames)
     if message_and_hint is not None:
         message = f"key times and spans from {message_and_hint[0]}"
         document.warn("CLIP110", ("goals",), message, message_and_hint[1])
@@ -122,14 +122,14 @@ def warn_of_offsets(
         if offset_length * units.length <= MAX_OFFSET * rig_size or likely_unit is None:
             continue
         factor = likely_unit.meters / units.length
-        numbers = ", ".join(f"{number * factor:.4g}" for number in goal.offset)
+        offset_text = ", ".join(f"{number * factor:.4g}" for number in goal.offset)
         unit = unit_name(units.length)
         message = (
             f"the offset is {length_text(offset_length * units.length)} from "
             f"{goal.effector!r}, with lengths in {unit}; the rig is "
             f"{length_text(rig_size)} tall"
         )
-        hint = f"for {likely_unit} write [{numbers}], or 'units: {{length: "
+        hint = f"for {likely_unit} write [{offset_text}], or 'units: {{length: "
         hint += f"{likely_unit}}}' for all lengths"
         document.warn("TGT110", ("goals", i, "offset"), message, hint)
         return

@@ -197,13 +197,18 @@ def join_spans(
     rate: float,
 ) -> TakeIk:
     """Assemble a take from the solved poses of its frame spans."""
-    results = [solution.result for solution in solutions]
-    motion, problem = take.motion, results[0].problem
+    span_results = [solution.result for solution in solutions]
+    motion, problem = take.motion, span_results[0].problem
     rig = solutions[0].span.rig
     changed_names = {*problem.joints, *find_mimics(rig, problem.joints)}
     stretched_joints = {j for limb in problem.limbs for j in limb.joints}
-    joints = sorted({rig.index(name) for name in changed_names} | stretched_joints)
-    translations, rotations = local.translations[:, joints], local.rotations[:, joints]
+    changed_joints = sorted(
+        {rig.index(name) for name in changed_names} | stretched_joints
+    )
+    translations, rotations = (
+        local.translations[:, changed_joints],
+        local.rotations[:, changed_joints],
+    )
     source_poses = LocalTransforms(translations.copy(), rotations.copy())
     for solution in solutions:
         span, frames = solution.span, solution.span.frames
@@ -211,42 +216,42 @@ def join_spans(
         solved_poses = local_from_coordinates(span.rig, solved_rows)
         local_translations = solution.result.local_translations()
         slices = coordinate_slices(span.rig)
-        for i, j in enumerate(joints):
+        for i, j in enumerate(changed_joints):
             change = np.abs(solved_rows[:, slices[j]] - source_rows[:, slices[j]])
             is_changed = change.max(axis=1, initial=0.0) > EQUAL_COORDINATE_TOLERANCE
             is_stretched = local_translations[:, j] != solved_poses.translations[:, j]
             is_changed |= is_stretched.any(axis=1)
             translations[frames, i][is_changed] = local_translations[is_changed, j]
             rotations[frames, i][is_changed] = solved_poses.rotations[is_changed, j]
-    indices, aligned_rotations = rig_indices[joints], so3.align_signs(rotations)
+    indices, aligned_rotations = rig_indices[changed_joints], so3.align_signs(rotations)
     motion = replace(
         motion,
         translations=motion.translations.put(indices, translations).compact(),
         rotations=motion.rotations.put(indices, aligned_rotations).compact(),
     )
     packed_targets = np.concatenate([solution.targets for solution in solutions])
-    coordinates = np.concatenate([result.coordinates for result in results])
+    coordinates = np.concatenate([result.coordinates for result in span_results])
     jumps = find_jumps(
-        [rig.names[j] for j in joints],
+        [rig.names[j] for j in changed_joints],
         source_poses,
         LocalTransforms(translations, rotations),
         goal_steps(problem, packed_targets),
         fps=rate,
         length=problem.length,
-        revolutions=full_revolutions(rig, coordinates)[:, joints],
+        revolutions=full_revolutions(rig, coordinates)[:, changed_joints],
     )
     goal_weights = [track.goal.weights for track in tracks.goals]
     active_weights = np.asarray(targets.weights) * goal_weights
-    limit_masks = [frames_on_limits(r.problem, r.coordinates) for r in results]
+    limit_masks = [frames_on_limits(r.problem, r.coordinates) for r in span_results]
     return TakeIk(
         replace(take, motion=motion),
         tracks,
         problem,
         active_weights > 0,
-        np.concatenate([result.misses for result in results]),
-        tuple(status for result in results for status in result.statuses),
-        np.concatenate([result.iterations for result in results]),
-        np.concatenate([result.descents for result in results]),
+        np.concatenate([result.misses for result in span_results]),
+        tuple(status for result in span_results for status in result.statuses),
+        np.concatenate([result.iterations for result in span_results]),
+        np.concatenate([result.descents for result in span_results]),
         sum(solution.seconds for solution in solutions),
         jumps,
         {
@@ -375,24 +380,27 @@ class TakeSolver:
         from the previous one, which keeps the side.
         """
         poles = np.array(targets.poles)[:1]
-        weights = np.array(targets.weights)[:1]
+        start_weights = np.array(targets.weights)[:1]
         goals = self.goals
         origins = self.world.positions[span.frames.start]
-        for e, track in enumerate(self.tracks.goals):
+        for goal_index, track in enumerate(self.tracks.goals):
             if track.goal.pole or not _has_bend_direction(problem, track, origins):
                 continue
-            if not (weights[0, e] * track.goal.weights).any():
+            if not (start_weights[0, goal_index] * track.goal.weights).any():
                 continue
-            goals[e] = replace(track.goal, pole=1.0)
+            goals[goal_index] = replace(track.goal, pole=1.0)
             point = _distant_pole(self.rig, track, self.world, span.frames.start)
-            poles[:, e], weights[:, e, GOAL_PARTS.index("pole")] = point, 1.0
+            (
+                poles[:, goal_index],
+                start_weights[:, goal_index, GOAL_PARTS.index("pole")],
+            ) = point, 1.0
         if goals == self.goals:
             return span.coordinates[0], 0.0
         bent_problem = self._build_problem(span, goals)
         if self.options.method not in supported_methods(bent_problem):
             return span.coordinates[0], 0.0
         first_targets = targets_of_frames(targets, slice(0, 1))
-        bent_targets = replace(first_targets, poles=poles, weights=weights)
+        bent_targets = replace(first_targets, poles=poles, weights=start_weights)
         start = span.coordinates[0]
         bent_result, seconds = self._timed_solve(
             bent_problem, start, bent_targets, is_warm_started=True, restarts=0

@@ -108,16 +108,27 @@ class FreeEffector:
         if limb is None or not self._has_fixed_root(limb[0]):
             return np.asarray(straight_positions)
         root, middle = (self.world.positions[is_fading, j] for j in limb)
-        a, b, start_distance, end_distance = (
+        upper_length, lower_length, start_distance, end_distance = (
             np.linalg.norm(vectors, axis=1)
             for vectors in (middle - root, start - middle, start - root, end - root)
         )
-        bend_angles = bend_angle(a, b, start_distance), bend_angle(a, b, end_distance)
+        bend_angles = (
+            bend_angle(upper_length, lower_length, start_distance),
+            bend_angle(upper_length, lower_length, end_distance),
+        )
         angle = bend_angles[0] + fraction * (bend_angles[1] - bend_angles[0])
-        squared_distance = a**2 + b**2 + 2 * a * b * np.cos(angle)
+        squared_distance = (
+            upper_length**2
+            + lower_length**2
+            + 2 * upper_length * lower_length * np.cos(angle)
+        )
         limb_distance = np.sqrt(np.maximum(squared_distance, 0.0))
-        limb_distance += fraction * np.maximum(end_distance - (a + b), 0.0)
-        has_direction = (end_distance > MIN_DIRECTION * (a + b))[:, None]
+        limb_distance += fraction * np.maximum(
+            end_distance - (upper_length + lower_length), 0.0
+        )
+        has_direction = (end_distance > MIN_DIRECTION * (upper_length + lower_length))[
+            :, None
+        ]
         end_direction = np.where(has_direction, end - root, start - root)
         swung_vectors = swing_towards(start - root, end_direction, fraction)
         swung_length = np.maximum(np.linalg.norm(swung_vectors, axis=1), 1e-300)
@@ -328,11 +339,11 @@ class TargetTracks:
             if kind.is_rotation:
                 values_by_field[kind.targets_field][..., 3] = 1.0
         weights = np.ones((*shape, len(GOAL_KINDS)))
-        for e, track in enumerate(self.goals):
+        for goal_index, track in enumerate(self.goals):
             effector = FreeEffector(rig, track.goal, world)
             fading_effector = effector
             if free:
-                fading_effector = FreeEffector(rig, track.goal, free[e])
+                fading_effector = FreeEffector(rig, track.goal, free[goal_index])
             active_weights = np.ones(len(times))
             if track.during:
                 span_weights = hold_weights(times, track.during, track.ease)
@@ -344,8 +355,8 @@ class TargetTracks:
                 value = fading_effector.blend_from_free_motion(
                     kind, value, active_weights
                 )
-                values_by_field[kind.targets_field][:, e] = value
-                weights[:, e, i] = weight * (active_weights > 0)
+                values_by_field[kind.targets_field][:, goal_index] = value
+                weights[:, goal_index, i] = weight * (active_weights > 0)
         return Targets(**values_by_field, weights=weights)
 
 

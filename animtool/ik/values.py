@@ -198,18 +198,18 @@ def interpolate_rows(values: FloatArray, row_numbers: FloatArray) -> FloatArray:
     is_on_row = np.abs(row_numbers - nearest_row) <= ROW_TOLERANCE
     row_numbers = np.where(is_on_row, nearest_row, row_numbers)
     lower_rows = np.floor(row_numbers).astype(np.int64)
-    fraction = row_numbers - lower_rows
+    fractions = row_numbers - lower_rows
     interpolated_values = values[lower_rows]
-    is_fractional = fraction > 0
+    is_fractional = fractions > 0
     if is_fractional.any():
         values_below = interpolated_values[is_fractional]
-        fraction = fraction[is_fractional]
+        fractions = fractions[is_fractional]
         values_above = values[lower_rows[is_fractional] + 1]
         if values.shape[1] == 4:
-            new_values = so3.slerp(values_below, values_above, fraction)
+            new_values = so3.slerp(values_below, values_above, fractions)
         else:
             difference = values_above - values_below
-            new_values = values_below + fraction[:, None] * difference
+            new_values = values_below + fractions[:, None] * difference
         interpolated_values[is_fractional] = new_values
     return interpolated_values
 
@@ -302,20 +302,24 @@ class ValueReader:
             return None
         unsupported_keys = _PRIM_KEYS if model.keys is not None else _CURVE_KEYS
         unused_keys = [
-            name for name in unsupported_keys if name in model.model_fields_set
+            unused_key
+            for unused_key in unsupported_keys
+            if unused_key in model.model_fields_set
         ]
         if model.prim is not None and key != "orientation" and model.rotate:
             unused_keys.append("rotate")
         if key == "orientation" and model.offset:
             unused_keys.append("offset")
-        for name in dict.fromkeys(unused_keys):
+        for unused_key in dict.fromkeys(unused_keys):
             clause = "keys have" if model.keys is not None else "only a prim has here"
-            self.document.add("TGT009", (*location, name), f"{clause} no {name}")
+            self.document.add(
+                "TGT009", (*location, unused_key), f"{clause} no {unused_key}"
+            )
         if model.keys is not None:
             curve_options = {
-                name: getattr(model, name)
-                for name in CurveModel.model_fields
-                if name in model.model_fields_set
+                unused_key: getattr(model, unused_key)
+                for unused_key in CurveModel.model_fields
+                if unused_key in model.model_fields_set
             }
             curve = CurveModel.model_construct(**curve_options)
             return self.read_curve(location, curve, key)

@@ -367,14 +367,16 @@ def _segment_slopes(
     curves: Curves, keys: IntArray, next_keys: IntArray, handles: FloatArray
 ) -> FloatArray:
     """Return the slope of each segment at the end where its handle is ``(C,)``."""
-    spans = curves.times[next_keys] - curves.times[keys]
+    segment_spans = curves.times[next_keys] - curves.times[keys]
     kinds = curves.kinds[keys]
-    spans = np.where((spans > 0) & (kinds != SegmentKind.HOLD), spans, np.inf)
-    secants = (curves.values[next_keys] - curves.values[keys]) / spans
+    segment_spans = np.where(
+        (segment_spans > 0) & (kinds != SegmentKind.HOLD), segment_spans, np.inf
+    )
+    secants = (curves.values[next_keys] - curves.values[keys]) / segment_spans
     dt, dv = handles.T
     has_length = (kinds == SegmentKind.BEZIER) & (dt > 0)
     slopes = np.where(has_length, dv / np.where(dt > 0, dt, 1.0), secants)
-    slopes = np.where(kinds == SegmentKind.CUBIC, 3.0 * dv / spans, slopes)
+    slopes = np.where(kinds == SegmentKind.CUBIC, 3.0 * dv / segment_spans, slopes)
     return np.where(kinds == SegmentKind.HOLD, 0.0, slopes)
 
 

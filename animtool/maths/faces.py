@@ -86,14 +86,16 @@ def coincident_edges(edge_ends: IntArray) -> tuple[IntArray, IntArray]:
     ([0], [2])
     """
     sorted_ends = np.sort(edge_ends, axis=1)
-    order = np.lexsort((sorted_ends[:, 1], sorted_ends[:, 0]))
-    sorted_ends = sorted_ends[order]
+    sort_order = np.lexsort((sorted_ends[:, 1], sorted_ends[:, 0]))
+    sorted_ends = sorted_ends[sort_order]
     pairs = [np.zeros((0, 2), np.int64)]
-    for gap in range(1, len(order)):
+    for gap in range(1, len(sort_order)):
         is_equal = (sorted_ends[gap:] == sorted_ends[:-gap]).all(axis=1)
         if not is_equal.any():
             break
-        pairs.append(np.stack([order[:-gap][is_equal], order[gap:][is_equal]], axis=1))
+        pairs.append(
+            np.stack([sort_order[:-gap][is_equal], sort_order[gap:][is_equal]], axis=1)
+        )
     first, second = np.concatenate(pairs).T
     return first, second
 

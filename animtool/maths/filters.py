@@ -120,11 +120,11 @@ def rotation_noise(rotations: FloatArray) -> float:
 
 def _noise_variance(values: FloatArray, *, is_rotation: bool) -> tuple[float, int]:
     """Return the noise variance per noisy direction, and the number of directions."""
-    order = min(NOISE_ORDER, len(values) - 1)
-    if order < 1:
+    difference_order = min(NOISE_ORDER, len(values) - 1)
+    if difference_order < 1:
         return 0.0, 1
-    differences = np.diff(values, order, axis=0)
-    variance_gain = math.comb(2 * order, order)
+    differences = np.diff(values, difference_order, axis=0)
+    variance_gain = math.comb(2 * difference_order, difference_order)
     if not is_rotation:
         # Static components have no noise.
         direction_count = max(1, int((np.ptp(values, axis=0) > 0).sum()))
@@ -134,7 +134,9 @@ def _noise_variance(values: FloatArray, *, is_rotation: bool) -> tuple[float, in
         median_power = float(np.median((differences * differences).sum(axis=-1)))
         return median_power / median_power_factor / variance_gain, direction_count
     # Relative to the middle frame, noise is a rotation vector.
-    inner_frames = values[order // 2 : order // 2 + len(differences)]
+    inner_frames = values[
+        difference_order // 2 : difference_order // 2 + len(differences)
+    ]
     differences = so3.multiply(so3.conjugate(inner_frames), differences)[:, :3]
     components = differences @ np.linalg.eigh(differences.T @ differences)[1]
     powers = np.median(components * components, axis=0) / MEDIAN_SQUARE / variance_gain
@@ -160,10 +162,10 @@ def find_best_cutoff(
     noise_power = variance * direction_count
     if noise_power == 0 or len(values) <= NOISE_ORDER:
         return None
-    fractions = np.geomspace(MIN_CUTOFF, MAX_CUTOFF, CUTOFF_COUNT)
+    cutoff_fractions = np.geomspace(MIN_CUTOFF, MAX_CUTOFF, CUTOFF_COUNT)
     frequencies = np.sin(np.pi * np.arange(len(values)) / (2 * len(values)))
     expected_errors = []
-    for fraction in fractions.tolist():
+    for fraction in cutoff_fractions.tolist():
         residual = values - lowpass(values, fraction * rate, rate)
         gains = 1 / (1 + (frequencies / math.sin(math.pi * fraction)) ** 4)
         removed_power = float((residual * residual).sum()) / len(values)
@@ -172,7 +174,7 @@ def find_best_cutoff(
         )
     best_index = int(np.argmin(expected_errors))
     if expected_errors[best_index] < MAX_REMAINING_NOISE * noise_power:
-        return float(fractions[best_index] * rate)
+        return float(cutoff_fractions[best_index] * rate)
     return None
 
 

@@ -78,16 +78,18 @@ def tcb(
     >>> ins[1].tolist(), outs[1].tolist()
     ([-1.0], [1.0])
     """
-    _, values, spans, slopes = _checked_segments(times, values)
+    _, values, key_intervals, slopes = _checked_segments(times, values)
     inner_parameters = as_floats(parameters, (len(values), 3), "parameters")[1:-1]
     tension, continuity, bias = inner_parameters.T[:, :, None]
     # Each secant slope is weighted by the length of the other segment.
-    factor_before, factor_after = spans[1:], spans[:-1]
+    factor_before, factor_after = key_intervals[1:], key_intervals[:-1]
     side_slopes = []
     for c in (-continuity, continuity):
         from_before = (1 - tension) * (1 + c) * (1 + bias) * factor_before * slopes[:-1]
         from_after = (1 - tension) * (1 - c) * (1 - bias) * factor_after * slopes[1:]
-        inner_slopes = (from_before + from_after) / (spans[:-1] + spans[1:])
+        inner_slopes = (from_before + from_after) / (
+            key_intervals[:-1] + key_intervals[1:]
+        )
         side_slopes.append(_add_ends(inner_slopes, slopes, values))
     return side_slopes[0], side_slopes[1]
 

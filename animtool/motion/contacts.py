@@ -52,8 +52,8 @@ def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
     if not half_width or len(values) < 2:
         return values
     offsets = np.arange(-half_width, half_width + 1)
-    weights = np.exp(-0.5 * (offsets / width) ** 2)
-    weights /= weights.sum()
+    kernel_weights = np.exp(-0.5 * (offsets / width) ** 2)
+    kernel_weights /= kernel_weights.sum()
     # Mirrored at the ends, so that straight lines stay straight.
     frame_count = len(values)
     indices = np.arange(-half_width, frame_count + half_width)
@@ -65,7 +65,9 @@ def gaussian_smooth(values: FloatArray, width: float) -> FloatArray:
         2 * values[clamped_indices] - values[mirrored_indices],
     )
     columns = padded_values.reshape(len(padded_values), -1)
-    smoothed_columns = [np.convolve(column, weights, "valid") for column in columns.T]
+    smoothed_columns = [
+        np.convolve(column, kernel_weights, "valid") for column in columns.T
+    ]
     return np.stack(smoothed_columns, axis=1).reshape(values.shape)
 
 

@@ -96,17 +96,19 @@ class DriverRun:
         controls = self._current_controls(motion)
         read_coordinate = _CoordinateReader(self, motion, times, coordinates or {})
         kept_targets = self._find_targets_to_keep(motion)
-        values = evaluate_drivers(self.plan, read_coordinate, controls, kept_targets)
-        _check_defined(rig, values, times)
-        for j, excess in values.excess.items():
+        driver_values = evaluate_drivers(
+            self.plan, read_coordinate, controls, kept_targets
+        )
+        _check_defined(rig, driver_values, times)
+        for j, excess in driver_values.excess.items():
             largest_excess = self._limit_excess_by_joint.setdefault(
                 rig.names[j], LargestAmount()
             )
             largest_excess.keep_larger(np.abs(excess), times)
         return replace(
-            self._driven_joints(motion, values, times),
-            weights=self._driven_weights(motion, values, times),
-            controls=self._driven_controls(motion, values, times),
+            self._driven_joints(motion, driver_values, times),
+            weights=self._driven_weights(motion, driver_values, times),
+            controls=self._driven_controls(motion, driver_values, times),
         )
 
     def notices(self) -> list[Fault]:

@@ -86,15 +86,15 @@ def check_tracks(
     paths = listed([track.path for track in source_tracks], MAX_LISTED_TRACKS)
     message = f"the pass {name} changes the clock and loses {paths}"
     hint = "it must treat track_times as the other channels of a motion"
-    error = OptionError(Fault("SCN045", message, hint=hint))
+    lost_tracks_error = OptionError(Fault("SCN045", message, hint=hint))
     if not stream.tracks:
-        raise error
+        raise lost_tracks_error
 
     def checked_blocks(blocks: Iterator[Motion]) -> Iterator[Motion]:
         """Yield the blocks; raise if their track times are missing."""
         for block in blocks:
             if block.track_times is None:
-                raise error
+                raise lost_tracks_error
             yield block
 
     return replace(stream, blocks=checked_blocks(stream.blocks))

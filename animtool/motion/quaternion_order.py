@@ -44,13 +44,13 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     channel = motion.rotations
     is_rotated = so3.angle_between(rig.rest_rotations, channel.rest) > MIN_STATIC_ANGLE
     is_rotated[channel.animated] = True
-    joints, frame_count = np.flatnonzero(is_rotated), len(channel.values)
-    if len(joints) < MIN_ROTATING_JOINTS or not frame_count:
+    rotated_joints, frame_count = np.flatnonzero(is_rotated), len(channel.values)
+    if len(rotated_joints) < MIN_ROTATING_JOINTS or not frame_count:
         return None
     sample_count = min(frame_count, MAX_SAMPLED_FRAMES)
     frames = np.linspace(0, frame_count - 1, sample_count).astype(np.int64)
-    rotations = channel.select(frames).gather(joints)
-    rest_rotations = rig.rest_rotations[joints]
+    rotations = channel.select(frames).gather(rotated_joints)
+    rest_rotations = rig.rest_rotations[rotated_joints]
     angle_as_read = _median_angle(rest_rotations, rotations)
     if angle_as_read < MIN_WRONG_ANGLE:
         return None
@@ -60,7 +60,7 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     if angle_swapped > MAX_RIGHT_ANGLE:
         return None
     degrees = np.degrees([angle_as_read, angle_swapped]).tolist()
-    return SwappedOrder(len(joints), *degrees)
+    return SwappedOrder(len(rotated_joints), *degrees)
 
 
 def _median_angle(rest_rotations: FloatArray, rotations: FloatArray) -> float:

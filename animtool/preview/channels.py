@@ -59,14 +59,14 @@ def add_channels(
     )
     rig_size = rest_size(page_take.rig) or 1.0
     for column, curve in enumerate(curves):
-        keys = curve.keys if key_count <= MAX_KEYS else None
+        drawn_keys = curve.keys if key_count <= MAX_KEYS else None
         draft.channels.append(
             {
                 "name": curve.name,
                 "unit": curve.unit,
                 "values": stream_index,
                 "column": column,
-                "keys": None if keys is None else json_numbers(keys),
+                "keys": None if drawn_keys is None else json_numbers(drawn_keys),
                 "interp": curve.interp,
                 "moves": json_number(round(_curve_range(curve, rig_size), 4)),
                 "take": page_take.index,

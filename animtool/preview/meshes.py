@@ -223,19 +223,19 @@ def _shape_entries(
     for shape_number, column in enumerate(active_columns.tolist()):
         if column in dense_row_by_column:
             dense_row = sparse_offsets.dense_table[dense_row_by_column[column]]
-            offsets = dense_row.reshape(-1, 3)
-            vertices = np.flatnonzero((offsets != 0).any(axis=1))
-            offsets = offsets[vertices]
+            point_offsets = dense_row.reshape(-1, 3)
+            vertices = np.flatnonzero((point_offsets != 0).any(axis=1))
+            point_offsets = point_offsets[vertices]
         else:
             is_in_column = sparse_offsets.columns == column
             vertices = vertex_by_offset[is_in_column]
-            offsets = sparse_offsets.offsets[is_in_column]
+            point_offsets = sparse_offsets.offsets[is_in_column]
         entries.append(
             {
                 "name": column_names[column],
                 "column": first_column + shape_number,
                 "vertices": draft.packer.add_static(vertices, "u32"),
-                "offsets": draft.packer.add_static_range(offsets),
+                "offsets": draft.packer.add_static_range(point_offsets),
             }
         )
     return entries

@@ -104,25 +104,27 @@ def find_anatomy(
             names do not tell.
         uses_names: Whether names are used.
     """
-    names = [joint.source_name or joint.name for joint in rig.joints]
+    source_names = [joint.source_name or joint.name for joint in rig.joints]
     if preset is None:
         # Roles stated by the file precede guesses from names.
-        named_joints = zip(rig.joints, names, strict=True)
-        names = [joint.humanoid or name for joint, name in named_joints]
-    parsed_names = parse_names(names, rig.parents)
+        named_joints = zip(rig.joints, source_names, strict=True)
+        source_names = [joint.humanoid or name for joint, name in named_joints]
+    parsed_names = parse_names(source_names, rig.parents)
     chosen_preset: Preset | None = None
     preset_warnings: list[Fault] = []
     if preset is not None:
         chosen_preset = find_preset(preset)
-        preset_warnings = _preset_warning(chosen_preset, rig, names, parsed_names)
+        preset_warnings = _preset_warning(
+            chosen_preset, rig, source_names, parsed_names
+        )
     elif uses_names:
-        chosen_preset = best_preset(names, parsed_names)
-    votes: list[dict[str, float]] = [{} for _ in names]
+        chosen_preset = best_preset(source_names, parsed_names)
+    votes: list[dict[str, float]] = [{} for _ in source_names]
     if uses_names:
         votes = role_votes(parsed_names, chosen_preset)
     joint_kinds = [name.kind if uses_names else "" for name in parsed_names]
     body = SkeletonTree.of(rig, votes, joint_kinds)
-    search = _RoleSearch(body, [""] * len(names))
+    search = _RoleSearch(body, [""] * len(source_names))
     notices = [*preset_warnings, *_ignore_smaller_trees(search)]
     _find_limbs(search)
     up = find_up_direction(body, search.tip_by_limb)
@@ -140,9 +142,9 @@ def find_anatomy(
     notices += _anatomy_warnings(search)
     evidence = [_role_source(role, votes[j]) for j, role in enumerate(search.roles)]
     confidence = tuple(_CONFIDENCE_BY_EVIDENCE[source] for source in evidence)
-    name = chosen_preset.name if chosen_preset else ""
+    preset_name = chosen_preset.name if chosen_preset else ""
     return Anatomy(
-        tuple(search.roles), tuple(evidence), confidence, name, tuple(notices)
+        tuple(search.roles), tuple(evidence), confidence, preset_name, tuple(notices)
     )
 
 

@@ -114,15 +114,15 @@ def _vector_to_tip(
     rig = skeleton.rig
     all_joints, top_joints = range(len(rig.joints)), {*joints}
     descendants = [j for j in all_joints if not top_joints.isdisjoint(rig.upwards(j))]
-    offsets = [skeleton.positions[j] - ankle for j in descendants]
+    end_offsets = [skeleton.positions[j] - ankle for j in descendants]
     for j in descendants:
-        offsets += [
+        end_offsets += [
             skeleton.positions[j]
             + so3.rotate(skeleton.rotations[j], np.asarray(tip))
             - ankle
             for tip in rig.joints[j].tips
         ]
-    return max(offsets, key=lambda offset: float(offset @ offset), default=None)
+    return max(end_offsets, key=lambda offset: float(offset @ offset), default=None)
 
 
 def _toeless_ball(
@@ -140,16 +140,18 @@ def _toeless_ball(
         return np.asarray(leg_ratio * (other_shape.ball @ facing_axes))
     if other_shape.tip is None:
         return tip
-    lengths = [float(np.linalg.norm(v)) for v in (other_shape.ball, other_shape.tip)]
-    if not 0 < lengths[0] < lengths[1]:
+    other_lengths = [
+        float(np.linalg.norm(v)) for v in (other_shape.ball, other_shape.tip)
+    ]
+    if not 0 < other_lengths[0] < other_lengths[1]:
         return tip
-    geometric_mean = leg_ratio * float(np.sqrt(lengths[0] * lengths[1]))
+    geometric_mean = leg_ratio * float(np.sqrt(other_lengths[0] * other_lengths[1]))
     if float(np.linalg.norm(tip)) <= geometric_mean:
         return tip
     # It ends where the other foot's toes end.
     tip_in_axes = facing_axes @ tip
     fractions = [
-        a / b if abs(b) > MIN_FOOT_LENGTH * lengths[1] else 1.0
+        a / b if abs(b) > MIN_FOOT_LENGTH * other_lengths[1] else 1.0
         for a, b in zip(other_shape.ball, other_shape.tip, strict=True)
     ]
     return np.asarray((tip_in_axes * np.clip(fractions, 0.0, 1.0)) @ facing_axes)

@@ -33,20 +33,27 @@ def bend_limb(
     """
     knee, ankle = joint_positions
     thigh, shin = knee - hip, ankle - knee
-    a, b = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
+    thigh_length, shin_length = (np.linalg.norm(bone, axis=1) for bone in (thigh, shin))
     goal_distance = np.linalg.norm(goal - hip, axis=1)
-    shortest_distance = np.abs(a - b) * (1 + 1e-9)
-    longest_distance = (a + b) * MAX_EXTENSION
+    shortest_distance = np.abs(thigh_length - shin_length) * (1 + 1e-9)
+    longest_distance = (thigh_length + shin_length) * MAX_EXTENSION
     # A leg that was straighter may stay so.
     current_distance = np.linalg.norm(ankle - hip, axis=1)
-    longest_distance = np.maximum(longest_distance, np.minimum(current_distance, a + b))
+    longest_distance = np.maximum(
+        longest_distance, np.minimum(current_distance, thigh_length + shin_length)
+    )
     goal_distance = np.clip(goal_distance, shortest_distance, longest_distance)
     hinge_axis = np.cross(thigh, shin)
     axis_length = np.linalg.norm(hinge_axis, axis=1, keepdims=True)
-    is_bent = axis_length > 1e-3 * (a * b)[:, None]
+    is_bent = axis_length > 1e-3 * (thigh_length * shin_length)[:, None]
     unit_axis = hinge_axis / np.maximum(axis_length, 1e-300)
     hinge_axis = np.where(is_bent, unit_axis, straight_axis)
-    cosine = np.clip((goal_distance**2 - a**2 - b**2) / (2 * a * b), -1.0, 1.0)
+    cosine = np.clip(
+        (goal_distance**2 - thigh_length**2 - shin_length**2)
+        / (2 * thigh_length * shin_length),
+        -1.0,
+        1.0,
+    )
     sine = (np.cross(thigh, shin) * hinge_axis).sum(axis=1)
     current_angle = np.arctan2(sine, (thigh * shin).sum(axis=1))
     bend_rotation = so3.from_axis_angle(hinge_axis, np.arccos(cosine) - current_angle)

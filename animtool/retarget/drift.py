@@ -96,21 +96,30 @@ def remove_drift(take: Take, options: DriftOptions, context: PassContext) -> Tak
     )
     up, (a, b) = _ground_axes(take)
     root_on_ground = root_positions[:, a] + 1j * root_positions[:, b]
-    angle, shift = _root_correction(take, options, stance, root_on_ground, rotations)
-    positions = root_positions.copy()
-    corrected_ground = np.exp(1j * angle) * root_on_ground + shift
-    positions[:, a], positions[:, b] = corrected_ground.real, corrected_ground.imag
+    correction_angle, shift = _root_correction(
+        take, options, stance, root_on_ground, rotations
+    )
+    corrected_positions = root_positions.copy()
+    corrected_ground = np.exp(1j * correction_angle) * root_on_ground + shift
+    corrected_positions[:, a], corrected_positions[:, b] = (
+        corrected_ground.real,
+        corrected_ground.imag,
+    )
     if options.height:
-        positions[:, up] -= stance.height
-    rotation = so3.from_axis_angle(np.eye(3)[up], angle)
+        corrected_positions[:, up] -= stance.height
+    rotation = so3.from_axis_angle(np.eye(3)[up], correction_angle)
     corrected_rotations = so3.align_signs(so3.multiply(rotation, rotations))
     motion = replace(
         source_motion,
-        translations=source_motion.translations.put(root_index, positions[:, None]),
+        translations=source_motion.translations.put(
+            root_index, corrected_positions[:, None]
+        ),
         rotations=source_motion.rotations.put(root_index, corrected_rotations[:, None]),
     )
-    largest_shift = float(np.linalg.norm(positions - root_positions, axis=1).max())
-    degrees = float(np.degrees(np.abs(angle)).max())
+    largest_shift = float(
+        np.linalg.norm(corrected_positions - root_positions, axis=1).max()
+    )
+    degrees = float(np.degrees(np.abs(correction_angle)).max())
     message = f"the root is moved by up to {length_text(largest_shift)} and rotated by "
     message += f"up to {angle_text(degrees)}, measured from planted feet"
     context.notices.append(Fault("CAP104", message, severity=Severity.NOTE))
@@ -170,7 +179,7 @@ def _stance_tracks(
     take: Take, skeleton: RoledSkeleton, *, measures_spin: bool
 ) -> _StanceTracks | None:
     """Return the motion of planted feet; None if none is planted for long."""
-    up, (a, b) = _ground_axes(take)
+    up, (first_axis, second_axis) = _ground_axes(take)
     rate = float(take.clock.rate)
     frame_count = take.clock.count
     world = take.world()
@@ -207,9 +216,16 @@ def _stance_tracks(
             length = stance_frames.stop - stance_frames.start
             middle_frame = (stance_frames.start + stance_frames.stop - 1) / 2
             mean_position = pivot[stance_frames].mean(axis=0)
-            ground_values = [*velocity[[a, b]], *mean_position[[a, b]]]
+            ground_values = [
+                *velocity[[first_axis, second_axis]],
+                *mean_position[[first_axis, second_axis]],
+            ]
             contact_rows.append([middle_frame, length, spin, *ground_values])
-            positions = pivot[stance_frames][:, [a, b, up]] - [0.0, 0.0, ground_height]
+            positions = pivot[stance_frames][:, [first_axis, second_axis, up]] - [
+                0.0,
+                0.0,
+                ground_height,
+            ]
             position_sums[stance_frames] += positions
             contact_counts[stance_frames] += 1
     if (contact_counts > 0).sum() <= MIN_STANCE_FRAMES:

@@ -222,7 +222,7 @@ def smooth_path_to_targets(
 
 def _foot_weight(is_planted: BoolArray, fps: float) -> FloatArray:
     """Return how much a foot determines the hip height, 0 to 1 ``(F,)``."""
-    weight = np.zeros(len(is_planted))
+    support_weight = np.zeros(len(is_planted))
     for start, end in runs(is_planted):
         frames = np.arange(start, end)
         ramp_frames = max(min(HANDOVER_SECONDS * fps, (end - start) / 2), 1.0)
@@ -230,8 +230,8 @@ def _foot_weight(is_planted: BoolArray, fps: float) -> FloatArray:
         frames_since_start = np.inf if start == 0 else frames - start
         frames_until_end = np.inf if end == len(is_planted) else end - 1 - frames
         frames_to_edge = np.minimum(frames_since_start, frames_until_end)
-        weight[start:end] = _smooth_step(frames_to_edge / ramp_frames)
-    return weight
+        support_weight[start:end] = _smooth_step(frames_to_edge / ramp_frames)
+    return support_weight
 
 
 def _smooth_step(fraction: FloatArray) -> FloatArray:
@@ -346,25 +346,27 @@ def _hip_shifts(
     """Return how far hips sink and rise so that all legs reach, each ``(F,)`` [m]."""
     hip_lowering, hip_rise = np.full((2, len(hips)), -np.inf)
     for foot, ankle in zip(feet, ankles, strict=True):
-        offset = hips + foot.hip - ankle
+        hip_to_ankle = hips + foot.hip - ankle
         largest_reach = upper_envelope(
             foot.straightness, STRAIGHTNESS_WINDOW * fps, STRAIGHTNESS_SMOOTHING * fps
         )
         # A similar leg may be as straight as the source's.
         bend_factor = BEND_FACTOR if foot.flat_rotation is not None else 1.0
-        fraction = np.clip(
+        reach_fraction = np.clip(
             1 - bend_factor * (1 - largest_reach), BENT_FRACTION, MAX_EXTENSION
         )
-        horizontal = offset.copy()
+        horizontal = hip_to_ankle.copy()
         horizontal[:, up] = 0.0
         horizontal_squared = (horizontal**2).sum(axis=1)
-        highest_squared = (fraction * foot.leg_length) ** 2 - horizontal_squared
+        highest_squared = (reach_fraction * foot.leg_length) ** 2 - horizontal_squared
         highest = np.sqrt(np.maximum(highest_squared, 0.0))
-        hip_lowering = np.maximum(hip_lowering, offset[:, up] - highest)
+        hip_lowering = np.maximum(hip_lowering, hip_to_ankle[:, up] - highest)
         lowest = np.sqrt(np.maximum(foot.min_reach**2 - horizontal_squared, 0.0))
         # A body hanging by its feet is not flipped.
-        is_above = (offset[:, up] > 0) & (lowest > 0)
-        hip_rise = np.maximum(hip_rise, np.where(is_above, lowest - offset[:, up], 0.0))
+        is_above = (hip_to_ankle[:, up] > 0) & (lowest > 0)
+        hip_rise = np.maximum(
+            hip_rise, np.where(is_above, lowest - hip_to_ankle[:, up], 0.0)
+        )
     width = LOWERING_SECONDS * fps
     return smooth_cover(hip_lowering, width), smooth_cover(hip_rise, width)
 

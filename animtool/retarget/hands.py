@@ -134,10 +134,10 @@ def hand_contacts(
     up = up_index(transfer.target.rig)
     ground_offset = AnkleHeights.ground_offset(ankle_heights, transfer.scale, up)
     wrists = [hips + arm.joint_positions[:, 2] for arm in tracks]
-    lengths = [_arm_length(transfer.source, side) for side in sides]
+    arm_lengths = [_arm_length(transfer.source, side) for side in sides]
     scales = [
-        _arm_length(transfer.target, side) / length if length > 0 else 1.0
-        for side, length in zip(sides, lengths, strict=True)
+        _arm_length(transfer.target, side) / arm_length if arm_length > 0 else 1.0
+        for side, arm_length in zip(sides, arm_lengths, strict=True)
     ]
     frame_count = len(hips)
     shoulders = [hips + arm.joint_positions[:, 0] for arm in tracks]
@@ -145,7 +145,7 @@ def hand_contacts(
     is_active = [np.zeros(frame_count, np.bool_) for _ in tracks]
     if len(tracks) == 2:
         separation = tracks[0].source_wrist - tracks[1].source_wrist
-        is_joined = _are_hands_joined(separation, min(lengths), fps)
+        is_joined = _are_hands_joined(separation, min(arm_lengths), fps)
         middle = (wrists[0] + wrists[1]) / 2
         pair_goals = [
             middle + sign * float(np.mean(scales)) * separation for sign in (0.5, -0.5)
@@ -156,10 +156,14 @@ def hand_contacts(
             is_active[k] |= is_joined
     contacts = []
     for k, side in enumerate(sides):
-        source_wrist, length, ground_level = tracks[k].source_wrist, lengths[k], None
+        source_wrist, arm_length, ground_level = (
+            tracks[k].source_wrist,
+            arm_lengths[k],
+            None,
+        )
         is_gripping, prop_tracks = np.zeros(frame_count, np.bool_), frozenset[int]()
         for prop in props:
-            is_gripped = prop.find_gripped_frames(source_wrist, length, fps)
+            is_gripped = prop.find_gripped_frames(source_wrist, arm_length, fps)
             is_gripped &= ~is_gripping
             if not is_gripped.any():
                 continue
@@ -171,12 +175,12 @@ def hand_contacts(
             prop_tracks |= {prop.track}
         if ankle_heights is not None:
             height = source_wrist[:, up] - ankle_heights.source
-            kept_height = np.minimum(height, MAX_GROUND_CONTACT_RATIO / 2 * length)
+            kept_height = np.minimum(height, MAX_GROUND_CONTACT_RATIO / 2 * arm_length)
             ground_level = ankle_heights.target + transfer.scale * kept_height
-            is_slow = find_contacts(source_wrist, None, fps, length, up).ankle
+            is_slow = find_contacts(source_wrist, None, fps, arm_length, up).ankle
             is_free = is_slow & ~is_gripping & ~is_active[k]
             for start, end in runs(
-                is_free & (height < MAX_GROUND_CONTACT_RATIO * length)
+                is_free & (height < MAX_GROUND_CONTACT_RATIO * arm_length)
             ):
                 goals[k][start:end] = wrists[k][start:end].mean(axis=0)
                 goals[k][start:end, up] = float(ground_level[start:end].mean())
@@ -184,7 +188,7 @@ def hand_contacts(
         is_contact = is_active[k].copy()
         if ground_level is not None:
             height_above_ground = wrists[k][:, up] - ground_level
-            soft_height = MAX_SLOWING_RATIO * length * transfer.scale
+            soft_height = MAX_SLOWING_RATIO * arm_length * transfer.scale
             is_low = ~is_contact & (height_above_ground < soft_height)
             soft_goal = ground_level + _soften_heights(height_above_ground, soft_height)
             goals[k][is_low, up] = soft_goal[is_low]

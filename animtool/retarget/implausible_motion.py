@@ -57,14 +57,18 @@ def fast_motion_warning(
     The body is scaled to the size of a person. ``rate_argument`` sets the ``rate``.
     """
     size = rest_size(rig)
-    step = max(1, round(ACCELERATION_INTERVAL * rate))
+    frame_step = max(1, round(ACCELERATION_INTERVAL * rate))
     if not is_character(rig.names) or not size or len(rig.roots) != 1:
         return []
-    if block.frames < 2 * step + MIN_FRAMES:
+    if block.frames < 2 * frame_step + MIN_FRAMES:
         return []
     hips = block.world(rig).positions[:, find_hips(rig)] * (PERSON_SIZE / size)
-    changes = hips[2 * step :] - 2 * hips[step:-step] + hips[: -2 * step]
-    seconds = float(step / rate)
+    changes = (
+        hips[2 * frame_step :]
+        - 2 * hips[frame_step:-frame_step]
+        + hips[: -2 * frame_step]
+    )
+    seconds = float(frame_step / rate)
     acceleration = float(median(np.linalg.norm(changes, axis=1)))
     acceleration /= seconds**2 * GRAVITY
     if acceleration <= MAX_TYPICAL_ACCELERATION:
@@ -114,23 +118,23 @@ class GroundCheck:
 
     def add(self, block: Motion) -> None:
         """Add the planted feet of sampled frames of a block."""
-        step = max(1, round(STATIC_SECONDS * self._rate))
-        if self._leg_length is None or block.frames <= step:
+        frame_step = max(1, round(STATIC_SECONDS * self._rate))
+        if self._leg_length is None or block.frames <= frame_step:
             return
-        count = min(PAIR_COUNT, block.frames - step)
-        frames = np.linspace(0, block.frames - step - 1, count).astype(np.int64)
-        up, size = np.array(self._rig.up.vector, float), rest_size(self._rig)
+        count = min(PAIR_COUNT, block.frames - frame_step)
+        frames = np.linspace(0, block.frames - frame_step - 1, count).astype(np.int64)
+        up, rig_size = np.array(self._rig.up.vector, float), rest_size(self._rig)
         feet = find_feet(self._rig.names)
         positions, later_positions = (
             block.select(sampled_frames).world(self._rig).positions
-            for sampled_frames in (frames, frames + step)
+            for sampled_frames in (frames, frames + frame_step)
         )
         moves = np.linalg.norm((later_positions - positions)[:, feet], axis=-1)
         joint_heights = positions @ up
         foot_heights = joint_heights[:, feet]
         lowest = joint_heights.min(axis=1, keepdims=True)
-        is_planted = foot_heights < lowest + CARRYING_TOLERANCE * size
-        is_planted &= moves < MAX_STATIC_MOVE * size
+        is_planted = foot_heights < lowest + CARRYING_TOLERANCE * rig_size
+        is_planted &= moves < MAX_STATIC_MOVE * rig_size
         # A body that lies or crawls shows no ground of feet.
         hips = joint_heights[:, find_hips(self._rig)]
         is_planted &= (hips - lowest[:, 0] > 0.5 * self._leg_length)[:, None]

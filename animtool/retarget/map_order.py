@@ -27,14 +27,14 @@ def map_order_warnings(
             message_and_hint = _chain_order_texts(chain, rig)
             if message_and_hint:
                 yield _order_warning(file, ("joints", i, side), *message_and_hint)
-    for upper, lower in _exchanged_pairs(entries, source, target):
-        upper_source, upper_target = _top_joints(entries[upper], source, target)
-        lower_source, lower_target = _top_joints(entries[lower], source, target)
+    for upper_entry, lower_entry in _exchanged_pairs(entries, source, target):
+        upper_source, upper_target = _top_joints(entries[upper_entry], source, target)
+        lower_source, lower_target = _top_joints(entries[lower_entry], source, target)
         message = f"{source.names[lower_source]!r} is below "
         message += f"{source.names[upper_source]!r}, but what follows it, "
         message += f"{target.names[lower_target]!r}, is above "
         message += f"{target.names[upper_target]!r}"
-        i, k = sorted((upper, lower))
+        i, k = sorted((upper_entry, lower_entry))
         hint = f"exchange the sources of joints[{i}] and joints[{k}]"
         yield _order_warning(file, ("joints", k, "source"), message, hint)
 

@@ -323,14 +323,16 @@ def _unmapped_joints(
 
     Those of limbs come first.
     """
-    joints = [
+    unmapped_joints = [
         j
         for j in range(len(rig.joints))
         if j not in used_joints and anatomy.roles[j] != END
     ]
     limb_roles = {*ARM_ROLES, *LEG_ROLES}
     return tuple(
-        sorted(joints, key=lambda j: base_role(anatomy.roles[j]) not in limb_roles)
+        sorted(
+            unmapped_joints, key=lambda j: base_role(anatomy.roles[j]) not in limb_roles
+        )
     )
 
 
@@ -450,7 +452,7 @@ class _PairCollector:
         evidence: RoleSource | None = None,
     ) -> None:
         """Pair the joints of two chains; record chains of more than one joint."""
-        fractions = [
+        chain_fractions = [
             _chain_fractions(rig, anatomy, chain)
             for rig, anatomy, chain in zip(
                 self.rigs, self.anatomies, (source_joints, target_joints), strict=True
@@ -458,12 +460,14 @@ class _PairCollector:
         ]
         if len(source_joints) > 1 or len(target_joints) > 1:
             joints = tuple(source_joints), tuple(target_joints)
-            chain = JointChain(role, *joints, *map(tuple, fractions))
+            chain = JointChain(role, *joints, *map(tuple, chain_fractions))
             self.chains.append(chain)
         for i, j in enumerate(target_joints):
             nearest_index = i
             if len(source_joints) != len(target_joints):
-                nearest_index = _nearest_index(fractions[0], fractions[1][i])
+                nearest_index = _nearest_index(
+                    chain_fractions[0], chain_fractions[1][i]
+                )
             source_joint = source_joints[nearest_index]
             anatomy, joint = min(
                 zip(self.anatomies, (source_joint, j), strict=True),
@@ -537,7 +541,7 @@ def _twist_fractions(
     target: Rig, anatomy: Anatomy, collector: _PairCollector
 ) -> tuple[TwistFraction, ...]:
     """Return the fraction of a bone's twist that each joint along the bone takes."""
-    fractions = []
+    twist_fractions = []
     for j, role in enumerate(anatomy.roles):
         bone = target.joints[j].parent
         is_used = j in collector.pairs or j in collector.ignored_joints[1]
@@ -548,5 +552,5 @@ def _twist_fractions(
         length = _bone_length(target, anatomy, bone)
         offset = float(np.linalg.norm(target.joints[j].translation))
         fraction = min(offset / length, 1.0) if length > 0 else 0.5
-        fractions.append(TwistFraction(j, bone, fraction))
-    return tuple(fractions)
+        twist_fractions.append(TwistFraction(j, bone, fraction))
+    return tuple(twist_fractions)

@@ -67,17 +67,19 @@ def twist_to_hinge_axes(transfer: Transfer, rotations: FloatArray) -> FloatArray
         bone_local = so3.rotate(so3.conjugate(target.rotations[j]), bone)
         direction = so3.rotate(rotations[:, j], bone_local)
         rest_axis = so3.rotate(rig.rest_rotations[j], np.array(joint.axis, np.float64))
-        axis = so3.rotate(rotations[:, parent], rest_axis)
+        hinge_axis = so3.rotate(rotations[:, parent], rest_axis)
         bend_normal = np.cross(upper_direction, direction)
         sine = np.linalg.norm(bend_normal, axis=1)
         bend_normal = bend_normal / np.maximum(sine, 1e-12)[:, None]
         # It bends as its limits allow, else towards the axis.
-        bend_sign = np.where((bend_normal * axis).sum(axis=1) < 0, -1.0, 1.0)[:, None]
+        bend_sign = np.where((bend_normal * hinge_axis).sum(axis=1) < 0, -1.0, 1.0)[
+            :, None
+        ]
         if isinstance(joint.limits, RangeLimit):
             bends_forward = joint.limits.low + joint.limits.high >= 0
             bend_sign = np.full_like(bend_sign, 1.0 if bends_forward else -1.0)
-        along_bone = (axis * upper_direction).sum(axis=1)[:, None]
-        perpendicular = axis - along_bone * upper_direction
+        along_bone = (hinge_axis * upper_direction).sum(axis=1)[:, None]
+        perpendicular = hinge_axis - along_bone * upper_direction
         cross_product = np.cross(perpendicular, bend_normal * bend_sign)
         angle = np.arctan2(
             (cross_product * upper_direction).sum(axis=1),
@@ -234,17 +236,17 @@ def distribute_twist(
     rig = transfer.target.rig
     last_angles = np.zeros(len(transfer.twists))
     for k, (joint, next_joint, fraction) in enumerate(transfer.twists):
-        axis = _normalize(rig.rest_translations[next_joint])
+        twist_axis = _normalize(rig.rest_translations[next_joint])
         inverse_rest = so3.conjugate(rig.rest_rotations[next_joint])
         rotation_from_rest = so3.multiply(inverse_rest, local[:, next_joint])
-        next_axis = so3.rotate(inverse_rest, axis)
+        next_axis = so3.rotate(inverse_rest, twist_axis)
         angle = swing_twist(rotation_from_rest, tuple(next_axis))[1]
         if previous_angles is None:
             angle = np.unwrap(angle)
         else:
             angle = np.unwrap(np.concatenate([previous_angles[k : k + 1], angle]))[1:]
         last_angles[k] = angle[-1]
-        rotation = so3.from_axis_angle(axis, fraction * angle)
+        rotation = so3.from_axis_angle(twist_axis, fraction * angle)
         local[:, joint] = so3.multiply(rotation, rig.rest_rotations[joint])
     return last_angles
 

@@ -79,18 +79,18 @@ def low_height_factor(
     """
     frames = np.arange(1, len(body_positions))
     lowest_joints = (body_positions @ up).argmin(axis=1)
-    points = body_positions[np.arange(len(body_positions)), lowest_joints]
+    lowest_points = body_positions[np.arange(len(body_positions)), lowest_joints]
     next_points = body_positions[frames, lowest_joints[:-1]]
     for factor in UNIT_FACTORS:
         lift = (factor - 1.0) * root_positions
-        heights_above = (points + lift) @ up
+        heights_above = (lowest_points + lift) @ up
         is_low = np.abs(heights_above) < ZERO_HEIGHT * size
         if float(is_low.mean()) > MIN_ZERO_FRACTION:
             return 1.0 / factor
         lowest = abs(float(np.percentile(heights_above, 5)))
         if lowest > MIN_TREAD_FRACTION * size:
             continue
-        steps = next_points + lift[1:] - points[:-1] - lift[:-1]
+        steps = next_points + lift[1:] - lowest_points[:-1] - lift[:-1]
         is_slow = np.linalg.norm(steps, axis=1) < TREAD_SPEED * size * interval
         if float(is_slow.mean()) > STATIC_TREAD_FRACTION:
             return 1.0 / factor
@@ -146,15 +146,19 @@ def upright_leg_length(rig: Rig) -> float | None:
     up, hips = np.array(rig.up.vector, float), find_hips(rig)
     feet = find_feet(rig.names)
     joint = int(feet[(positions[feet] @ up).argmin()])
-    length = float((positions[hips] - positions[joint]) @ up)
+    leg_length = float((positions[hips] - positions[joint]) @ up)
     bones_length = 0.0
     while joint != hips:
         parent = int(rig.parents[joint])
         bones_length += float(np.linalg.norm(positions[joint] - positions[parent]))
         joint = parent
     distance = float(np.linalg.norm(positions[int(rig.roots[0])] - positions[hips]))
-    is_upright = length > MIN_UPRIGHT_RATIO * bones_length
-    return length if is_upright and distance <= MAX_HIPS_DISTANCE * length else None
+    is_upright = leg_length > MIN_UPRIGHT_RATIO * bones_length
+    return (
+        leg_length
+        if is_upright and distance <= MAX_HIPS_DISTANCE * leg_length
+        else None
+    )
 
 
 def _translation_problem(

@@ -159,7 +159,7 @@ def measure_stance(
     directions, other_axis = standing_directions(roles, positions), _other_axis(up)
     is_along_other = directions @ np.array(other_axis.vector) > MIN_STANDING_COSINE
     cosines = directions @ np.array(up.vector)
-    fraction = float(is_along_other.mean())
+    other_fraction = float(is_along_other.mean())
     upright_fraction = float((cosines > MIN_STANDING_COSINE).mean())
     inverted_fraction = float((cosines < -MIN_STANDING_COSINE).mean())
     if inverted_fraction >= MIN_STANDING_FRACTION:
@@ -167,15 +167,15 @@ def measure_stance(
     rest_axis = np.zeros(3)
     if rest is not None:
         rest_axis = standing_directions(roles, rest[None])[0]
-    is_frequent = fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
-    stands_throughout = fraction >= MIN_STANDING_FRACTION
+    is_frequent = other_fraction >= max(upright_fraction, MAX_CHANCE_FRACTION)
+    stands_throughout = other_fraction >= MIN_STANDING_FRACTION
     if rest_axis @ np.array(other_axis.vector) > MIN_STANDING_COSINE:
         is_confirmed = (
             (is_frequent and (is_along_other[0] or is_along_other[-1]))
             or stands_throughout
             or _is_trunk_along(roles, positions, other_axis, up)
         )
-        return Stance(other_axis, fraction) if is_confirmed else Stance()
+        return Stance(other_axis, other_fraction) if is_confirmed else Stance()
     if not (stands_throughout or (is_along_other[0] and is_frequent)):
         return Stance()
     standing_positions = positions[is_along_other]
@@ -184,7 +184,7 @@ def measure_stance(
         or _has_feet_on_ground(standing_positions, other_axis, up)
         or (stands_throughout and not _keeps_level(standing_positions, up))
     )
-    return Stance(other_axis, fraction) if stands_along_other else Stance()
+    return Stance(other_axis, other_fraction) if stands_along_other else Stance()
 
 
 def _is_trunk_along(

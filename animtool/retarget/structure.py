@@ -352,12 +352,16 @@ def split_limb(
     ``branch`` is the joint where the end of the limb begins, if the tree shows it.
     """
     remaining_joints, path = path[_MAX_LIMB_JOINTS:], path[:_MAX_LIMB_JOINTS]
-    n = len(path)
-    distances = np.cumsum([0.0, *body.lengths[path[1:]], body.tip_lengths[path[-1]]])
-    best_labels, best_score = [""] * n, -np.inf
-    for upper, lower, end_index in combinations_with_replacement(range(n + 1), 3):
-        for after_end in range(min(end_index + 1, n), n + 1):
-            boundaries = [0, upper, lower, end_index, after_end, n]
+    joint_count = len(path)
+    joint_distances = np.cumsum(
+        [0.0, *body.lengths[path[1:]], body.tip_lengths[path[-1]]]
+    )
+    best_labels, best_score = [""] * joint_count, -np.inf
+    for upper, lower, end_index in combinations_with_replacement(
+        range(joint_count + 1), 3
+    ):
+        for after_end in range(min(end_index + 1, joint_count), joint_count + 1):
+            boundaries = [0, upper, lower, end_index, after_end, joint_count]
             limb_roles = [
                 role
                 for role, (a, b) in zip(shape.roles, pairwise(boundaries), strict=True)
@@ -373,10 +377,14 @@ def split_limb(
                 elif votes:
                     score -= 12.0
                 previous = role_of_joint
-            score += _shape_score(distances, boundaries, shape)
+            score += _shape_score(joint_distances, boundaries, shape)
             if branch >= 0:
-                score += 4.0 if end_index < n and path[end_index] == branch else -4.0
-            elif not shape.has_lead_joint and end_index < n - 1:
+                score += (
+                    4.0
+                    if end_index < joint_count and path[end_index] == branch
+                    else -4.0
+                )
+            elif not shape.has_lead_joint and end_index < joint_count - 1:
                 triple = [path[lower], path[end_index], path[end_index + 1]]
                 score += _bend_amount(body, triple)
             if score > best_score:

@@ -113,8 +113,8 @@ def insufficient_pairs_fault(
         intact_limbs or not limbs
     ):
         return None
-    joints = counted(len(relevant_joints), "moving joint")
-    message = f"{len(paired_joints)} of {joints} of {source.name!r} are paired"
+    joints_text = counted(len(relevant_joints), "moving joint")
+    message = f"{len(paired_joints)} of {joints_text} of {source.name!r} are paired"
     if limbs and not intact_limbs:
         limbs_text = listed(sorted(limbs), MAX_LISTED_LIMBS)
         message += f", and none of its limbs ({limbs_text})"
@@ -132,8 +132,10 @@ def zero_length_fault(
     in the take ``(J,)`` [m].
     """
     roles = joint_map.source.roles
-    lengths = np.linalg.norm(source.rest_translations, axis=1)
-    has_collapsed = (max_bone_lengths <= ZERO_LENGTH_FRACTION * lengths) & (lengths > 0)
+    rest_lengths = np.linalg.norm(source.rest_translations, axis=1)
+    has_collapsed = (max_bone_lengths <= ZERO_LENGTH_FRACTION * rest_lengths) & (
+        rest_lengths > 0
+    )
     has_collapsed &= source.parents >= 0
     limb_joints: set[int] = set()
     for start_joint, *_, end_joint in _complete_limbs(roles).values():
@@ -144,9 +146,10 @@ def zero_length_fault(
     if not bones:
         return None
     bones_text = listed([repr(source.names[j]) for j in bones], MAX_LISTED_LIMBS)
+    rest_length_text = length_text(float(rest_lengths[bones].max()))
     message = (
         f"{counted(len(bones), 'limb bone')} of {source.name!r} have zero length in "
-        f"every frame, but up to {length_text(float(lengths[bones].max()))} at rest: "
+        f"every frame, but up to {rest_length_text} at rest: "
         f"{bones_text} are at their parents' positions"
     )
     hint = (

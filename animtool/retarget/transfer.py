@@ -107,9 +107,9 @@ class Transfer:
     @property
     def has_similar_legs(self) -> bool:
         """Whether legs and feet of both skeletons are the same up to scale."""
-        sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
+        leg_sides = [s for s in "lr" if self.target.leg(s) and self.source.leg(s)]
         skeletons = self.target, self.source
-        for side in sides:
+        for side in leg_sides:
             balls = [skeleton.balls.get(side) for skeleton in skeletons]
             # Feet with other toes roll differently, even if they are equally long.
             if len({ball is not None and ball.toe >= 0 for ball in balls}) > 1:
@@ -120,7 +120,7 @@ class Transfer:
             length_errors = np.abs(bones[0] - self.scale * bones[1])
             if (length_errors > LENGTH_TOLERANCE * bones[0].sum()).any():
                 return False
-        return bool(sides)
+        return bool(leg_sides)
 
     def rotations(self, source_rotations: FloatArray) -> FloatArray:
         """Return world rotations of the target ``(F, K, 4)``.

@@ -62,20 +62,20 @@ class ArrayReader:
         key = _ROLE_KEYS.get(role, role)
         location = (*location, key)
         file_name, array_key = split_reference(reference_text, key)
-        path = self.paths_by_name.get(file_name)
-        path = path or resolve_reference(
+        array_path = self.paths_by_name.get(file_name)
+        array_path = array_path or resolve_reference(
             self.document, location, file_name, self.reference_roots
         )
-        if path is None:
+        if array_path is None:
             return NO_ARRAY
-        self.paths_by_name[file_name] = path
-        array_reference = ArrayRef(reference_text, path, array_key)
+        self.paths_by_name[file_name] = array_path
+        array_reference = ArrayRef(reference_text, array_path, array_key)
         try:
             message = self._header_fault(array_reference, role, shape)
             if message is not None:
                 self.document.add("RIG019", location, f"{reference_text!r} {message}")
                 return array_reference
-            values = self.archives.load_stored(path, array_key)
+            values = self.archives.load_stored(array_path, array_key)
             message = _value_fault(role, values, part_count)
             if message is not None:
                 hint = _index_hint(role, values, part_count)
@@ -237,12 +237,12 @@ class AttachmentReader:
     def read_attachment(self, location: Location, entry: AttachModel) -> Attachment:
         """Return an attachment; record its faults in the document."""
         self._check_keys(location, entry)
-        joints = tuple(entry.joints or ())
-        for k, name in enumerate(joints):
+        joint_names = tuple(entry.joints or ())
+        for k, name in enumerate(joint_names):
             self.check_joint((*location, "joints", k), name)
         if entry.joint is not None:
             self.check_joint((*location, "joint"), entry.joint)
-            joints = (entry.joint,)
+            joint_names = (entry.joint,)
         if entry.mesh is not None:
             self.check_mesh((*location, "mesh"), entry.mesh)
         point_count = self.point_counts.get(entry.mesh or "")
@@ -253,7 +253,7 @@ class AttachmentReader:
             location, entry.points, "strands", (None, None, 3)
         )
         return Attachment(
-            entry.name, entry.kind, joints, entry.mesh or "", pins, points
+            entry.name, entry.kind, joint_names, entry.mesh or "", pins, points
         )
 
     def _check_keys(self, location: Location, entry: AttachModel) -> None:

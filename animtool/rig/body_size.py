@@ -98,13 +98,13 @@ def size_warning_texts(
     'if its numbers are in cm, set metersPerUnit = 0.01 in the file'
     """
     size_texts = length_text(size, 4), length_text(size * likely_unit / unit, 4)
-    name, fitting_name = unit_name(unit), unit_name(likely_unit)
-    if name not in set(LengthUnit):
-        name = f"units of {name}"
+    current_name, fitting_name = unit_name(unit), unit_name(likely_unit)
+    if current_name not in set(LengthUnit):
+        current_name = f"units of {current_name}"
     is_usd = file_format == "USD"
     message = f"metersPerUnit = {unit:g}: " if is_usd else ""
     message += f"the character spans {size_texts[0]}"
-    message += "; " if is_usd else f", with lengths in {name}; "
+    message += "; " if is_usd else f", with lengths in {current_name}; "
     if fitting_name not in set(LengthUnit):
         message += f"at {likely_unit / unit:g} times the size it would span "
         return message + size_texts[1], "export it again at its true size"

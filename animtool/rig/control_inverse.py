@@ -185,7 +185,7 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
         for name in affected_names:
             linked_by_name.setdefault(name, set()).update(affected_names)
     control_names = [control.name for control in controls]
-    groups: list[set[str]] = []
+    control_groups: list[set[str]] = []
     visited_names: set[str] = set()
     for name in control_names:
         if name in visited_names:
@@ -197,8 +197,8 @@ def _coupled_groups(controls: Sequence[Control]) -> list[set[str]]:
                 group.add(name_in_group)
                 pending_names.extend(linked_by_name.get(name_in_group, ()))
         visited_names |= group
-        groups.append(group & set(control_names))
-    return groups
+        control_groups.append(group & set(control_names))
+    return control_groups
 
 
 class _GroupProblem:

@@ -53,13 +53,13 @@ def read_driver(
         message = "the curve does not name its input"
         document.add("RIG015", location, message, "write by: elbow.angle, for example")
         return None
-    points = tuple((x, y) for x, y in model.curve or ())
-    input_values = [x for x, _ in points]
+    curve_points = tuple((x, y) for x, y in model.curve or ())
+    input_values = [x for x, _ in curve_points]
     has_fault = (
         list(record_descents(document, (*location, "curve"), input_values)) != []
     )
     is_smooth = model.interp == "smooth"
-    driver = Driver(None, model.by, points, is_smooth, value_unit, length, angle)
+    driver = Driver(None, model.by, curve_points, is_smooth, value_unit, length, angle)
     return None if has_fault else driver
 
 
@@ -101,8 +101,8 @@ class DriverCheck:
         has_faults = False
         for target, driver in self.rig.drivers.items():
             location = self._target_location(target)
-            for name in driver.names:
-                has_faults |= self._record_unreadable(location, name)
+            for input_name in driver.names:
+                has_faults |= self._record_unreadable(location, input_name)
         if has_faults:
             return
         try:

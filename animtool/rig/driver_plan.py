@@ -59,9 +59,9 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         message = f"unknown control {name!r}"
         hint = _suggestion_hint(name, control_names)
         if name in rig.names:
-            parts = readable_parts(rig.joints[rig.index(name)])
+            allowed_parts = readable_parts(rig.joints[rig.index(name)])
             message = f"{name!r} is a joint: write which coordinate"
-            hint = f"write {name}.{parts[0]}" if parts else None
+            hint = f"write {name}.{allowed_parts[0]}" if allowed_parts else None
         elif any(shape.name == name for shape in rig.shapes):
             message = f"{name!r} is a shape: drivers read only joints and controls"
             hint = "read the input of the shape's driver instead"
@@ -70,18 +70,18 @@ def coordinate_fault(rig: Rig, name: str) -> Fault | None:
         hint = rig.joint_hint(joint_name)
         return Fault("RIG008", f"unknown joint {joint_name!r}", hint=hint)
     joint = rig.joints[rig.index(joint_name)]
-    parts = readable_parts(joint)
-    if part in parts:
+    allowed_parts = readable_parts(joint)
+    if part in allowed_parts:
         return None
     message = f"the {joint.type} joint {joint_name!r} has no coordinate {part!r}"
     hint = "drivers read pin, prismatic and ball joints"
-    if parts:
-        hint = f"it has {', '.join(parts)}"
+    if allowed_parts:
+        hint = f"it has {', '.join(allowed_parts)}"
     if joint.type is JointType.BALL and not isinstance(joint.limits, BallLimit):
         hint = "set its twist axis, along the bone: limits: {twist_axis: [1, 0, 0]}"
     elif part == TWIST and joint.type is JointType.BALL:
         message = f"the twist of {joint_name!r} is locked: it is always 0"
-    elif suggestions := most_similar(part, parts):
+    elif suggestions := most_similar(part, allowed_parts):
         hint = f"did you mean {suggestions}? {hint}"
     return Fault("RIG033", message, hint=hint)
 
@@ -311,15 +311,15 @@ def _joints_read(rig: Rig, order: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Return the joints that each driven joint reads."""
     joints_by_target: dict[str, dict[str, None]] = {}
     for target in order:
-        joints = joints_by_target.setdefault(target, {})
+        read_joints = joints_by_target.setdefault(target, {})
         for name in _names_read(rig, target):
             if joint := split_coordinate(name)[0]:
-                joints[joint] = None
+                read_joints[joint] = None
             else:
-                joints |= joints_by_target.get(f"control/{name}", {})
+                read_joints |= joints_by_target.get(f"control/{name}", {})
     return {
-        target.removeprefix("joint/"): tuple(joints)
-        for target, joints in joints_by_target.items()
+        target.removeprefix("joint/"): tuple(read_joints)
+        for target, read_joints in joints_by_target.items()
         if target.startswith("joint/")
     }
 

@@ -170,7 +170,7 @@ def driven_coordinates(plan: DriverPlan, coordinates: FloatArray) -> FloatArray:
     Controls have their default values.
     """
     rig, slices = plan.rig, coordinate_slices(plan.rig)
-    result = coordinates.copy()
+    updated_coordinates = coordinates.copy()
 
     def read_coordinate(name: str) -> FloatArray:
         """Return a coordinate of an undriven joint."""
@@ -187,5 +187,5 @@ def driven_coordinates(plan: DriverPlan, coordinates: FloatArray) -> FloatArray:
     for j, value in evaluate_drivers(
         plan, read_coordinate, control_values
     ).joints.items():
-        result[:, slices[j].start] = value
-    return result
+        updated_coordinates[:, slices[j].start] = value
+    return updated_coordinates

@@ -132,29 +132,34 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     )
     base_rig = None
     if model.source is None:
-        joints = read_joints(document, model.joints, units)
+        file_joints = read_joints(document, model.joints, units)
     else:
         base_rig = _load_base(document, model.source, reference_roots, parents)
-        joints = (
+        file_joints = (
             _joints_without_base(document, model, units)
             if base_rig is None
             else _overlay_joints(document, model, base_rig, units)
         )
     inherited_rig = Rig("", ()) if base_rig is None else base_rig
     if not (
-        joints.joints or joints.has_unknown_name or model.shapes or inherited_rig.shapes
+        file_joints.joints
+        or file_joints.has_unknown_name
+        or model.shapes
+        or inherited_rig.shapes
     ):
         message = "the rig has no joints and no shapes"
         document.add("RIG004", ("joints",), message)
     with Archives() as archives:
         array_reader = ArrayReader(document, reference_roots, archives)
-        part_reader = PartReader(document, model, units, joints, array_reader)
+        part_reader = PartReader(document, model, units, file_joints, array_reader)
         meshes = part_reader.read_meshes() or inherited_rig.meshes
         shapes = part_reader.read_shapes(
             [mesh.name for mesh in meshes],
             [shape.name for shape in inherited_rig.shapes],
         )
-        bind = read_bind_poses(document, model.bind, joints, units, inherited_rig.bind)
+        bind = read_bind_poses(
+            document, model.bind, file_joints, units, inherited_rig.bind
+        )
         shapes = _merge_shapes(inherited_rig.shapes, shapes)
         controls = part_reader.read_controls(
             [shape.name for shape in shapes], inherited_rig.controls
@@ -173,7 +178,7 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     warn_of_w_last(document, model.joints)
     rig = Rig(
         model.name,
-        joints.joints,
+        file_joints.joints,
         units.length if base_rig is None else base_rig.meters_per_unit,
         UpAxis(model.up) if base_rig is None else base_rig.up,
         bind,
@@ -191,11 +196,11 @@ def parse_rig(document: Document, parents: tuple[Path, ...] = ()) -> Rig:
     )
     if rig.is_driven:
         has_unknown_name = {
-            "joints": joints.has_unknown_name or bool(joints.orphaned_joints),
+            "joints": file_joints.has_unknown_name or bool(file_joints.orphaned_joints),
             "controls": bool(document.has_unknown_name("controls")),
         }
         DriverCheck(
-            document, model, rig, has_unknown_name, joints.untyped_joints
+            document, model, rig, has_unknown_name, file_joints.untyped_joints
         ).check()
     document.check()
     notice_count = len(document.notices)
@@ -274,11 +279,11 @@ def _load_base(
     parents: tuple[Path, ...],
 ) -> Rig | None:
     """Load the base rig of a sidecar."""
-    path = resolve_reference(document, ("from",), name, reference_roots)
-    if path is None:
+    base_path = resolve_reference(document, ("from",), name, reference_roots)
+    if base_path is None:
         return None
     parents = (*parents, document.path.resolve())
-    if path in parents:
+    if base_path in parents:
         document.add("RIG030", ("from",), f"{name!r} refers back to this file")
         return None
     if len(parents) >= MAX_SIDECAR_DEPTH:
@@ -286,9 +291,9 @@ def _load_base(
         document.add("RIG030", ("from",), message)
         return None
     try:
-        if find_reader(path) is DOCUMENT:
-            return load_rig(path, parents)
-        return Rig.load(path)
+        if find_reader(base_path) is DOCUMENT:
+            return load_rig(base_path, parents)
+        return Rig.load(base_path)
     except AnimtoolError as error:
         for fault in error.faults:
             document.add("RIG023", ("from",), str(fault))
@@ -325,10 +330,10 @@ def _overlay_joints(
     }
     for i, entry in enumerate(model.joints):
         for key in ("name", "mirror"):
-            name = getattr(entry, key)
-            if name is not None and name not in rig_name_by_source_name:
-                message = f"unknown joint {name!r} of {model.source}"
-                hint = name_hint(name, list(rig_name_by_source_name))
+            named_joint = getattr(entry, key)
+            if named_joint is not None and named_joint not in rig_name_by_source_name:
+                message = f"unknown joint {named_joint!r} of {model.source}"
+                hint = name_hint(named_joint, list(rig_name_by_source_name))
                 document.add("RIG008", ("joints", i, key), message, hint)
         for key in ("parent", "translate", "rotate", "tips", "channels"):
             if key in entry.model_fields_set:
@@ -345,11 +350,11 @@ def _overlay_joints(
         ): rig_name_by_source_name.get(entry.mirror or "", "")
         for entry in model.joints
     }
-    joints = []
+    overlaid_joints = []
     for joint in inherited_rig.joints:
         entry_joint = sidecar_joint_by_name.get(joint.name)
         if entry_joint is None:
-            joints.append(joint)
+            overlaid_joints.append(joint)
             continue
         driver, mimic = entry_joint.driven, entry_joint.mimic
         if mimic is not None:
@@ -367,12 +372,12 @@ def _overlay_joints(
             if driver is None
             else driver.with_renamed_joints(rig_name_by_source_name),
         )
-        joints.append(overlaid_joint)
+        overlaid_joints.append(overlaid_joint)
     untyped_names = frozenset(
         rig_name_by_source_name.get(name, name) for name in sidecar_roots.untyped_joints
     )
     return FileJoints(
-        tuple(joints),
+        tuple(overlaid_joints),
         untyped_joints=untyped_names,
         has_unknown_name=sidecar_roots.has_unknown_name,
     )

@@ -120,13 +120,13 @@ def measure_fit(
         no_joints = np.zeros(0, np.int64)
         return RigFit(*fractions, no_joints, empty, empty, empty, 1.0, 0.0)
     relative_lengths = bone_lengths / total_lengths[:, None]
-    size = float(total_lengths[0] / total_lengths[1])
+    size_ratio = float(total_lengths[0] / total_lengths[1])
     larger_lengths = relative_lengths.max(axis=0)
-    lengths = np.zeros(len(bone_joints))
+    length_differences = np.zeros(len(bone_joints))
     differences = np.abs(relative_lengths[0] - relative_lengths[1])
-    np.divide(differences, larger_lengths, lengths, where=larger_lengths > 0)
+    np.divide(differences, larger_lengths, length_differences, where=larger_lengths > 0)
     has_direction = (relative_lengths > MIN_BONE_LENGTH / len(bone_joints)).all(axis=0)
-    angles = np.where(has_direction, _angles_between(take_bones, rig_bones), 0.0)
+    bone_angles = np.where(has_direction, _angles_between(take_bones, rig_bones), 0.0)
     bone_weights = relative_lengths.mean(axis=0)
     up_axis_angle = 0.0
     if compares_poses:
@@ -135,10 +135,16 @@ def measure_fit(
         pose_angles = _angles_between(*aligned_poses.bones)
         pose_angles = np.where(has_direction, pose_angles, 0.0)
         if np.sqrt(bone_weights @ pose_angles**2) < SAME_POSE_ANGLE:
-            angles = np.maximum(angles, aligned_poses.rotation_angles)
+            bone_angles = np.maximum(bone_angles, aligned_poses.rotation_angles)
             up_axis_angle = aligned_poses.up_axis_angle
     return RigFit(
-        *fractions, bone_joints, angles, lengths, bone_weights, size, up_axis_angle
+        *fractions,
+        bone_joints,
+        bone_angles,
+        length_differences,
+        bone_weights,
+        size_ratio,
+        up_axis_angle,
     )
 
 

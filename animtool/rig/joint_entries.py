@@ -101,10 +101,10 @@ def read_joints(
 ) -> FileJoints:
     """Return the joints of a file, parents before children; record faults."""
     has_unknown_name = document.has_unknown_name("joints", "name", "mirror")
-    entries = _joint_entries(document, models, has_unknown_name=has_unknown_name)
+    entry_by_name = _joint_entries(document, models, has_unknown_name=has_unknown_name)
     tree = _JointTree()
-    for name in _in_dependency_order(document, entries):
-        entry = entries[name]
+    for name in _in_dependency_order(document, entry_by_name):
+        entry = entry_by_name[name]
         parent = (
             -1 if entry.parent is None else tree.index_by_name.get(entry.parent, -1)
         )
@@ -124,19 +124,19 @@ def read_joints(
             )
         tree.index_by_name[name] = len(tree.joints)
         tree.joints.append(joint)
-    joints = FileJoints(
+    file_joints = FileJoints(
         tuple(tree.joints),
-        frozenset(name for name, entry in entries.items() if entry.is_orphaned),
-        frozenset(name for name, entry in entries.items() if entry.is_mirrored),
+        frozenset(name for name, entry in entry_by_name.items() if entry.is_orphaned),
+        frozenset(name for name, entry in entry_by_name.items() if entry.is_mirrored),
         frozenset(
             name
-            for name, entry in entries.items()
+            for name, entry in entry_by_name.items()
             if document.is_placeholder(("joints", entry.index, "type"))
         ),
         has_unknown_name,
     )
-    joints = _with_mimics(document, models, entries, joints, units)
-    return _with_drivers(document, models, entries, joints, units)
+    file_joints = _with_mimics(document, models, entry_by_name, file_joints, units)
+    return _with_drivers(document, models, entry_by_name, file_joints, units)
 
 
 def _joint_entries(
@@ -189,15 +189,18 @@ def _warn_of_spaces(
     document: Document, entry_by_name: Mapping[str, _JointEntry]
 ) -> None:
     """Warn once of all joint names that contain white space (RIG109)."""
-    names = [name for name in entry_by_name if any(map(str.isspace, name))]
-    if not names:
+    spaced_names = [name for name in entry_by_name if any(map(str.isspace, name))]
+    if not spaced_names:
         return
+    first_name = spaced_names[0]
     message = (
-        f"{len(names)} of {counted(len(entry_by_name), 'joint name')} "
-        f"{'contains' if len(names) == 1 else 'contain'} a space: {names[0]!r}"
+        f"{len(spaced_names)} of {counted(len(entry_by_name), 'joint name')} "
+        f"{'contains' if len(spaced_names) == 1 else 'contain'} a space: {first_name!r}"
     )
-    hint = f"write {'_'.join(names[0].split())!r}: USD and expressions allow no spaces"
-    location = ("joints", entry_by_name[names[0]].index, "name")
+    hint = (
+        f"write {'_'.join(first_name.split())!r}: USD and expressions allow no spaces"
+    )
+    location = ("joints", entry_by_name[first_name].index, "name")
     document.warn("RIG109", location, message, hint)
 
 
@@ -385,8 +388,8 @@ def _with_mimics(
     units: FileUnits,
 ) -> FileJoints:
     """Return the joints with their mimics, whose leaders must exist."""
-    joints = list(file_joints.joints)
-    indices_by_name = {joint.name: i for i, joint in enumerate(joints)}
+    joints_with_mimics = list(file_joints.joints)
+    indices_by_name = {joint.name: i for i, joint in enumerate(joints_with_mimics)}
     scalar_types = (JointType.PIN, JointType.PRISMATIC)
     for name, entry in entry_by_name.items():
         model = models[entry.index]
@@ -404,21 +407,21 @@ def _with_mimics(
             continue
         if mimic.joint in file_joints.untyped_joints:
             continue
-        if joints[leader].type not in scalar_types:
-            message = f"{mimic.joint!r} is a {joints[leader].type} joint"
+        if joints_with_mimics[leader].type not in scalar_types:
+            message = f"{mimic.joint!r} is a {joints_with_mimics[leader].type} joint"
             hint = "a mimic follows a pin or prismatic"
             document.add("RIG009", location, message, hint)
             continue
         leader_name = mimic.joint
         if entry.is_mirrored:
-            leader_name = joints[leader].mirror or leader_name
+            leader_name = joints_with_mimics[leader].mirror or leader_name
         unit = units.unit_of(JointType(model.type))
-        gain = mimic.gain * unit / units.unit_of(joints[leader].type)
+        gain = mimic.gain * unit / units.unit_of(joints_with_mimics[leader].type)
         joint_mimic = Mimic(leader_name, gain, mimic.offset * unit)
         i = indices_by_name[name]
-        joints[i] = replace(joints[i], mimic=joint_mimic)
-    _check_mimic_chains(document, entry_by_name, joints)
-    return replace(file_joints, joints=tuple(joints))
+        joints_with_mimics[i] = replace(joints_with_mimics[i], mimic=joint_mimic)
+    _check_mimic_chains(document, entry_by_name, joints_with_mimics)
+    return replace(file_joints, joints=tuple(joints_with_mimics))
 
 
 def _check_mimic_chains(

@@ -88,33 +88,35 @@ def project_to_coordinates(rig: Rig, local: LocalTransforms) -> FloatArray:
     translations = as_floats(local.translations, ("F", joint_count, 3), "translations")
     rotations = as_floats(local.rotations, ("F", joint_count, 4), "rotations")
     slices = coordinate_slices(rig)
-    q = np.zeros((len(translations), slices[-1].stop if slices else 0))
+    coordinates = np.zeros((len(translations), slices[-1].stop if slices else 0))
     for j, (joint, columns) in enumerate(zip(rig.joints, slices, strict=True)):
         inverse_rest = so3.conjugate(rig.rest_rotations[j])
         rotation = so3.multiply(inverse_rest, rotations[:, j])
         offset = so3.rotate(inverse_rest, translations[:, j] - rig.rest_translations[j])
         match joint.type:
             case JointType.FREE:
-                q[:, columns] = np.concatenate(
+                coordinates[:, columns] = np.concatenate(
                     [offset, so3.align_signs(rotation)], axis=1
                 )
             case JointType.BALL:
-                q[:, columns] = so3.align_signs(rotation)
+                coordinates[:, columns] = so3.align_signs(rotation)
             case JointType.PIN:
                 sine_along_axis = rotation[:, :3] @ np.asarray(joint.axis)
-                q[:, columns.start] = np.unwrap(
+                coordinates[:, columns.start] = np.unwrap(
                     2.0 * np.arctan2(sine_along_axis, rotation[:, 3])
                 )
-                if len(q):
+                if len(coordinates):
                     revolutions = (
-                        2 * np.pi * np.round(q[0, columns.start] / (2 * np.pi))
+                        2
+                        * np.pi
+                        * np.round(coordinates[0, columns.start] / (2 * np.pi))
                     )
-                    q[:, columns.start] -= revolutions
+                    coordinates[:, columns.start] -= revolutions
             case JointType.PRISMATIC:
-                q[:, columns.start] = offset @ np.asarray(joint.axis)
+                coordinates[:, columns.start] = offset @ np.asarray(joint.axis)
             case JointType.FIXED:
                 continue
-    return q
+    return coordinates
 
 
 _ROTATING_TYPES = (JointType.FREE, JointType.BALL)

@@ -79,7 +79,7 @@ def warn_of_angles(
     document: Document, joints: Sequence[JointModel], angle_unit: str
 ) -> None:
     """Warn of limits in radians where degrees are declared, and vice versa (RIG107)."""
-    intended_unit, factor = OTHER_ANGLE_UNIT_AND_FACTOR[angle_unit]
+    intended_unit, unit_factor = OTHER_ANGLE_UNIT_AND_FACTOR[angle_unit]
     suspicious_limits = limits_in_other_unit(_joint_limits(joints), angle_unit)
     if not suspicious_limits:
         return
@@ -94,7 +94,7 @@ def warn_of_angles(
     hint = (
         f"write 'angle: {intended_unit}' under units, or this limit in "
         f"{ANGLE_NAMES[angle_unit]}: "
-        f"{largest_limit.values_text(factor)}"
+        f"{largest_limit.values_text(unit_factor)}"
     )
     document.warn("RIG107", largest_limit.location, message, hint)
 
@@ -262,7 +262,7 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
     The same for degrees in a rig in radians.
     """
     declared_unit = "deg" if rig.radians_per_unit != 1.0 else "rad"
-    intended_unit, factor = OTHER_ANGLE_UNIT_AND_FACTOR[declared_unit]
+    intended_unit, unit_factor = OTHER_ANGLE_UNIT_AND_FACTOR[declared_unit]
     default_by_control = {
         control.name: np.array([control.default]) for control in rig.controls
     }
@@ -279,8 +279,8 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
                 f"but units.angle is {declared_unit}"
             )
             hint = f"for {ANGLE_NAMES[declared_unit]} the result is "
-            hint += f"{largest_value * factor:.4g}; "
-            hint += f"multiply the expression by {factor:.6g}"
+            hint += f"{largest_value * unit_factor:.4g}; "
+            hint += f"multiply the expression by {unit_factor:.6g}"
             control_names = [entry.get("name") for entry in document.value["controls"]]
             location = ("controls", control_names.index(control.name), "drives", k)
             document.warn("RIG112", location, message, hint)
@@ -301,7 +301,9 @@ def warn_of_drives(document: Document, rig: Rig) -> None:
             f"{joint.name!r} is driven to {largest_value:.4g}, which looks like "
             f"{ANGLE_NAMES[intended_unit]}, but units.angle is {declared_unit}"
         )
-        hint = f"multiply the expression by {factor:.6g}, or declare the other unit"
+        hint = (
+            f"multiply the expression by {unit_factor:.6g}, or declare the other unit"
+        )
         i = entry_index_by_joint[joint.name]
         document.warn("RIG112", ("joints", i, "driven"), message, hint)
         return

@@ -178,22 +178,22 @@ def _reversal_text(rig: Rig, attachment: Attachment, archives: Archives) -> str 
     """Return a message if strands are reversed, else None."""
     if attachment.points is None or not attachment.joints:
         return None
-    points = attachment.points.load(archives)
-    points = points[:: -(-len(points) // MAX_STRANDS)]
-    first_distances = np.full(len(points), np.inf)
+    strand_points = attachment.points.load(archives)
+    strand_points = strand_points[:: -(-len(strand_points) // MAX_STRANDS)]
+    first_distances = np.full(len(strand_points), np.inf)
     last_distances = first_distances.copy()
-    nearest_meshes = np.zeros(len(points), np.int64)
+    nearest_meshes = np.zeros(len(strand_points), np.int64)
     nearest_vertices = nearest_meshes.copy()
     for i, mesh in enumerate(rig.meshes):
         vertices = _bind_points(mesh, archives)
-        distances, _ = _nearest_vertices(points[:, 0], vertices)
-        first_distances = np.minimum(first_distances, distances)
-        distances, nearest = _nearest_vertices(points[:, -1], vertices)
-        is_nearer = distances < last_distances
-        last_distances = np.minimum(last_distances, distances)
+        vertex_distances, _ = _nearest_vertices(strand_points[:, 0], vertices)
+        first_distances = np.minimum(first_distances, vertex_distances)
+        vertex_distances, nearest = _nearest_vertices(strand_points[:, -1], vertices)
+        is_nearer = vertex_distances < last_distances
+        last_distances = np.minimum(last_distances, vertex_distances)
         nearest_meshes[is_nearer] = i
         nearest_vertices[is_nearer] = nearest[is_nearer]
-    lengths = np.linalg.norm(np.diff(points, axis=1), axis=2).sum(axis=1)
+    lengths = np.linalg.norm(np.diff(strand_points, axis=1), axis=2).sum(axis=1)
     is_reversed = last_distances < MAX_LAST_RATIO * first_distances
     is_reversed &= first_distances > MIN_FIRST_RATIO * lengths
     is_reversed &= np.isfinite(first_distances)
@@ -210,8 +210,8 @@ def _reversal_text(rig: Rig, attachment: Attachment, archives: Archives) -> str 
     if float(is_reversed.mean()) < MIN_REVERSED_FRACTION:
         return None
     first, last = (
-        length_text(float(np.median(distances)) * rig.meters_per_unit)
-        for distances in (first_distances, last_distances)
+        length_text(float(np.median(vertex_distances)) * rig.meters_per_unit)
+        for vertex_distances in (first_distances, last_distances)
     )
     return (
         f"first points are typically {first} from the surface, but last points {last}: "

@@ -64,13 +64,13 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
     """Warn of an implausible size, offsets, up axis or sides of a rig."""
     if len(rig.joints) < 2:
         return
-    positions, _ = rest_pose_without_kernels(rig)
-    size = float(np.linalg.norm(np.ptp(positions, axis=0)))
-    if _warn_of_world_offsets(document, rig, positions):
+    rest_positions, _ = rest_pose_without_kernels(rig)
+    size = float(np.linalg.norm(np.ptp(rest_positions, axis=0)))
+    if _warn_of_world_offsets(document, rig, rest_positions):
         return
     _warn_of_size(document, rig, size)
-    _warn_of_up(document, rig, positions)
-    _warn_of_equal_sides(document, rig, positions)
+    _warn_of_up(document, rig, rest_positions)
+    _warn_of_equal_sides(document, rig, rest_positions)
 
 
 def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
@@ -117,35 +117,35 @@ def fitting_unit_hint(size: float, unit: float, *, is_body: bool) -> str | None:
 
 def _warn_of_world_offsets(document: Document, rig: Rig, positions: FloatArray) -> bool:
     """Warn of joints whose offsets seem to be world positions (RIG113)."""
-    offsets, parents = rig.rest_translations, rig.parents
+    rest_offsets, parents = rig.rest_translations, rig.parents
     child_joints = np.flatnonzero(parents >= 0)
     # Offsets from a joint at the origin are its children's positions as well.
-    child_joints = child_joints[offsets[parents[child_joints]].any(axis=1)]
+    child_joints = child_joints[rest_offsets[parents[child_joints]].any(axis=1)]
     if len(child_joints) < MIN_OFFSETS:
         return False
-    lengths = np.linalg.norm(offsets[child_joints], axis=1)
+    offset_lengths = np.linalg.norm(rest_offsets[child_joints], axis=1)
     bone_lengths = np.linalg.norm(
-        offsets[child_joints] - offsets[parents[child_joints]], axis=1
+        rest_offsets[child_joints] - rest_offsets[parents[child_joints]], axis=1
     )
-    total_length = float(lengths.sum())
+    total_length = float(offset_lengths.sum())
     has_branches = len({*parents[child_joints].tolist()}) < len(child_joints)
     if (
         bone_lengths.sum() > MAX_BODY_RATIO * total_length
-        or (bone_lengths < MIN_WORLD_BONE * lengths).any()
+        or (bone_lengths < MIN_WORLD_BONE * offset_lengths).any()
     ):
         return False
     if not has_branches or (
         bone_lengths.sum() > MAX_WORLD_RATIO * total_length
-        and not (_is_upright(rig, offsets) and not _is_upright(rig, positions))
+        and not (_is_upright(rig, rest_offsets) and not _is_upright(rig, positions))
     ):
         return False
     distances = np.linalg.norm(positions[child_joints], axis=1)
-    j = int(child_joints[(distances - lengths).argmax()])
+    j = int(child_joints[(distances - offset_lengths).argmax()])
     name, parent = rig.names[j], rig.names[int(parents[j])]
-    bone = (offsets[j] - offsets[parents[j]]) / rig.meters_per_unit
+    bone = (rest_offsets[j] - rest_offsets[parents[j]]) / rig.meters_per_unit
     size_texts = (
         length_text(float(np.linalg.norm(np.ptp(points, axis=0))))
-        for points in (positions, offsets)
+        for points in (positions, rest_offsets)
     )
     message = (
         f"the offsets of {len(child_joints)} joints look like world positions: the rig "
@@ -190,16 +190,18 @@ def _warn_of_up(document: Document, rig: Rig, positions: FloatArray) -> None:
     feet, torso = _feet_and_torso(rig)
     if not (feet and torso):
         return
-    offset: FloatArray = positions[torso].mean(axis=0) - positions[feet].mean(axis=0)
+    feet_to_torso: FloatArray = positions[torso].mean(axis=0) - positions[feet].mean(
+        axis=0
+    )
     other_axis = UpAxis.Z if rig.up is UpAxis.Y else UpAxis.Y
-    length = float(np.linalg.norm(offset))
-    if not length or offset @ rig.up.vector > MAX_LYING_COSINE * length:
+    length = float(np.linalg.norm(feet_to_torso))
+    if not length or feet_to_torso @ rig.up.vector > MAX_LYING_COSINE * length:
         return
-    if offset @ other_axis.vector < MIN_STANDING_COSINE * length:
+    if feet_to_torso @ other_axis.vector < MIN_STANDING_COSINE * length:
         return
     message = (
         f"{rig.names[torso[0]]!r} is "
-        f"{length_text(float(offset @ other_axis.vector))} above "
+        f"{length_text(float(feet_to_torso @ other_axis.vector))} above "
         f"{rig.names[feet[0]]!r} along {other_axis}, but the up axis is {rig.up}"
     )
     location = ("up",) if "up" in document.value else ("joints",)

@@ -234,10 +234,10 @@ def _search_tolerances(
             reduction.scale_tolerance(float(factor))
         errors = world_errors.measure_errors(reductions)
         round_count += 1
-    ratio = float((errors / world_errors.bounds).max())
+    error_ratio = float((errors / world_errors.bounds).max())
     while round_count < MAX_ROUNDS:
         changed_reductions = []
-        if ratio > 1:
+        if error_ratio > 1:
             moves_keys = round_count < FIRST_SPLITTING_ROUND
             changed_reductions = _tighten_causes(
                 world_errors, reductions, errors, moves_keys
@@ -250,9 +250,9 @@ def _search_tolerances(
         if not changed_reductions:
             break
         errors = world_errors.measure_errors(changed_reductions)
-        ratio = float((errors / world_errors.bounds).max())
+        error_ratio = float((errors / world_errors.bounds).max())
         round_count += 1
-    return _SearchResult(errors, ratio, round_count)
+    return _SearchResult(errors, error_ratio, round_count)
 
 
 def _frames_beyond_limits(reduction: TrackReduction) -> IntArray:

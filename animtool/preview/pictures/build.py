@@ -335,13 +335,13 @@ class PictureRenderer:
         self, picture_count: int, size: tuple[int, int]
     ) -> list[Caption]:
         """Return the wrapped caption of each picture."""
-        texts = self._options.caption
-        if len(texts) not in {0, 1, picture_count}:
-            message = f"{counted(len(texts), 'caption')} for "
+        caption_texts = self._options.caption
+        if len(caption_texts) not in {0, 1, picture_count}:
+            message = f"{counted(len(caption_texts), 'caption')} for "
             message += counted(picture_count, "picture")
             raise option_error("caption", message, "write one, or one for each")
-        if len(texts) == picture_count:
-            return [wrap_caption(text, *size) for text in texts]
+        if len(caption_texts) == picture_count:
+            return [wrap_caption(text, *size) for text in caption_texts]
         return [Caption((), 0)] * picture_count
 
     def _sheet_title(self, picture_count: int, width: int, height: int) -> Caption:

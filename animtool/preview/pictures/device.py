@@ -101,14 +101,14 @@ class Device:
 
     def set_uniforms(self, program: Any, eye: EyeMatrices, **uniforms: Any) -> None:
         """Set the uniforms of a program, including the camera's."""
-        values = {
+        value_by_uniform = {
             "viewProjection": eye.view_projection,
             "view": eye.view,
             "light": eye.light,
             "opacity": eye.opacity,
             **uniforms,
         }
-        for name, value in values.items():
+        for name, value in value_by_uniform.items():
             if name not in program:
                 continue
             if hasattr(value, "texture"):
