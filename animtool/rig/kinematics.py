@@ -96,11 +96,18 @@ def bind_world(rig: Rig) -> WorldTransforms:
     >>> bind_world(Rig("post", (Joint("a", -1),), bind=lifted)).positions.tolist()
     [[[0.0, 2.0, 0.0]]]
     """
-    translations, rotations = rig.rest_translations.copy(), rig.rest_rotations.copy()
+    translations = rig.rest_translations.copy()
     for name, pose in rig.bind.items():
         translations[rig.index(name)] = pose.translation
+    return forward_kinematics(rig, translations[None], bind_rotations(rig)[None])
+
+
+def bind_rotations(rig: Rig) -> FloatArray:
+    """Return the local rotations of the bind pose ``(J, 4)``."""
+    rotations = rig.rest_rotations.copy()
+    for name, pose in rig.bind.items():
         rotations[rig.index(name)] = pose.rotation
-    return forward_kinematics(rig, translations[None], rotations[None])
+    return rotations
 
 
 def bind_matrices(rig: Rig) -> FloatArray:

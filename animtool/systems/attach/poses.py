@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +12,11 @@ from animtool.core.record import dataclass
 from animtool.edit.travel import FramePositions, vertical_twist
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
-from animtool.rig.kinematics import WorldTransforms, forward_kinematics
+from animtool.rig.kinematics import (
+    WorldTransforms,
+    bind_rotations,
+    forward_kinematics,
+)
 from animtool.rig.skeleton import Rig
 from animtool.skin.character import CharacterMesh
 from animtool.skin.deform import deform
@@ -96,6 +100,23 @@ def extrapolate_roots(
     step = second.translations[roots] - first.translations[roots]
     translations[roots] -= frames * step
     return LocalPose(translations, first.rotations, first.scales, first.weights)
+
+
+def bind_around(rig: Rig, pose: LocalPose, joint: int) -> LocalPose:
+    """Return a pose with the bind rotations, except of a joint and its ancestors."""
+    rotations, kept_joints = bind_rotations(rig), rig.upwards(joint)
+    rotations[kept_joints] = pose.rotations[kept_joints]
+    return replace(pose, rotations=rotations)
+
+
+def ease_rotations(
+    before: LocalPose, after: LocalPose, step_count: int
+) -> Iterator[LocalPose]:
+    """Yield poses from one to another that differs in rotations, ``step_count + 1``."""
+    for fraction in np.arange(step_count + 1) / step_count:
+        weight = fraction * fraction * (3 - 2 * fraction)
+        rotations = so3.slerp(before.rotations, after.rotations, weight)
+        yield replace(after, rotations=rotations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

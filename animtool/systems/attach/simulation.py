@@ -28,14 +28,20 @@ from animtool.systems.attach.poses import (
     CycleShift,
     LocalPose,
     advance_cycle,
+    bind_around,
     cycle_travel,
+    ease_rotations,
     extrapolate_roots,
     pose_at,
     seam_weights,
 )
 from animtool.systems.attach.settings import PreRoll, SimulateOptions
 from animtool.systems.attach.skins import FramePoses, SkinSurface, build_skins
-from animtool.systems.framework.meter import ContactMeter
+from animtool.systems.framework.meter import (
+    ClosedSurface,
+    ContactMeter,
+    count_pierced_pairs,
+)
 from animtool.systems.framework.run import ReachedState
 from animtool.systems.framework.saved import StateClock
 from animtool.systems.framework.simulation import growing_field
@@ -44,6 +50,8 @@ from animtool.systems.springs.solvers import LOOKBACK_TIME
 
 # Most unsteered repeats of a cycle in a row that do not close it better.
 MAX_STALE_REPEATS = 3
+# Time from the bind pose to the first pose of cloth that the first pose pierces [s].
+UNPIERCING_TIME = 0.5
 # Largest number of point values in a block.
 BLOCK_VALUES = 1 << 20
 
@@ -205,21 +213,33 @@ class AttachSimulation:
             frames = range(preroll_frames, -1, -1)
             poses = [extrapolate_roots(self.rig, pose, next_pose, n) for n in frames]
         start_pose, world = poses[0], self._world_colliders
+        static_poses = FramePoses(self.rig, start_pose, start_pose)
+        settle_frames = math.ceil(options.settle * rate)
+        first_frame = self._frame - settle_frames - preroll_frames
         self.actors = []
         for body in self.bodies:
             # Skinned points collide with cloth that is named before them.
             sheets = [actor.sheet for actor in self.actors if actor.sheet is not None]
             layers = sheets if isinstance(body, SurfaceBody) else ()
             skins = self._skins_of(body)
+            clear_pose = self._clear_pose(body, skins, start_pose)
             actor = AttachmentActor(
-                self.rig, body, options, 1 / rate, start_pose, skins, world, layers
+                self.rig, body, options, 1 / rate, clear_pose, skins, world, layers
             )
             self.actors.append(actor)
+            if clear_pose is start_pose:
+                continue
+            if self.resumed is not None:
+                actor.follow_animation(static_poses)
+                continue
+            step_count = math.ceil(UNPIERCING_TIME * rate)
+            clear_poses = ease_rotations(clear_pose, start_pose, step_count)
+            for frame, (earlier, later) in enumerate(pairwise(clear_poses)):
+                frame_poses = FramePoses(self.rig, earlier, later)
+                actor.advance_frame(frame_poses, first_frame - step_count + frame)
         if self.resumed is not None:
             return
-        static_poses = FramePoses(self.rig, start_pose, start_pose)
-        settle_frames = math.ceil(options.settle * rate)
-        self._frame -= settle_frames + preroll_frames
+        self._frame = first_frame
         self._total_frame_count += settle_frames + preroll_frames
         for _ in range(settle_frames):
             self._advance_actors(static_poses)
@@ -231,6 +251,32 @@ class AttachSimulation:
                 actor.set_motion(np.stack([positions, velocities + step * rate]))
         for earlier, later in pairwise(poses):
             self._advance_actors(FramePoses(self.rig, earlier, later))
+
+    def _clear_pose(
+        self, body: AttachedBody, skins: Sequence[SkinSurface], pose: LocalPose
+    ) -> LocalPose:
+        """Return a pose to start in; the bind pose if a given one pierces more cloth.
+
+        The joint that carries the cloth stays where it is.
+        """
+        triangles = body.network.triangles
+        if not (skins and len(triangles)):
+            return pose
+
+        def pierced_count(pose: LocalPose) -> int:
+            poses = FramePoses(self.rig, pose, pose)
+            points = body.targets(poses.sample(1))[0]
+            solids = [
+                ClosedSurface(poses.skin_points(skin, 1)[0], skin.triangles)
+                for skin in skins
+            ]
+            return count_pierced_pairs(points, triangles, solids)
+
+        count, bind_pose = (
+            pierced_count(pose),
+            bind_around(self.rig, pose, body.carrier),
+        )
+        return bind_pose if count and pierced_count(bind_pose) < count else pose
 
     def _advance(self, frame_poses: FramePoses, time_code: float) -> None:
         """Advance all actors to the next frame, or follow the animation."""

@@ -7,8 +7,14 @@ import pytest
 from numpy.testing import assert_allclose
 
 from animtool.maths import so3
-from animtool.rig.skeleton import Joint, Rig
-from animtool.systems.attach.poses import LocalPose, advance_cycle, cycle_travel
+from animtool.rig.skeleton import Joint, Pose, Rig
+from animtool.systems.attach.poses import (
+    LocalPose,
+    advance_cycle,
+    bind_around,
+    cycle_travel,
+    ease_rotations,
+)
 
 UP = np.array([0.0, 1.0, 0.0])
 RIG = Rig("one", (Joint("root", -1), Joint("child", 0)))
@@ -58,3 +64,19 @@ def test_who_ends_within_two_steps_of_the_beginning_stands_in_place(
 ) -> None:
     poses = (pose([0, 1, 0]), pose([1, 1, 0]), pose([end - 1, 1, 0]), pose([end, 1, 0]))
     assert_allclose(cycle_travel(RIG, poses).shift, [shift, 0, 0], atol=1e-12)
+
+
+def test_around_a_joint_the_bind_rotations_are_eased_into_those_of_a_pose() -> None:
+    quarter = so3.exp(np.pi / 2 * UP)
+    bind = {"hand": Pose((0.0, 0.3, 0.0), tuple(quarter))}
+    joints = Joint("root", -1), Joint("spine", 0), Joint("hand", 1), Joint("leg", 0)
+    rig = Rig("four", joints, bind=bind)
+    turns = so3.exp(np.array([0.1, 0.2, 0.3, 0.4])[:, None] * UP)
+    start = LocalPose(np.ones((4, 3)), turns, None, None)
+    clear = bind_around(rig, start, 1)
+    assert_allclose(clear.rotations, [*turns[:2], quarter, so3.IDENTITY])
+    assert_allclose(clear.translations, start.translations)
+    first, middle, last = ease_rotations(clear, start, 2)
+    assert_allclose(first.rotations, clear.rotations)
+    assert_allclose(middle.rotations[3], so3.exp(0.2 * UP))
+    assert_allclose(last.rotations, turns)

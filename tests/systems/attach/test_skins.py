@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from support.attached import (
 
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
-from animtool.rig.skeleton import Rig
+from animtool.rig.skeleton import Joint, JointType, Rig
 from animtool.systems.attach.skins import (
     build_skins,
     contact_offsets,
@@ -129,6 +130,30 @@ def test_points_keep_how_near_they_are_worn_but_not_what_a_limb_is_through() -> 
     np.testing.assert_allclose(offsets, [0, -0.06, -0.1, 0], atol=1e-12)
     kept = contact_offsets(skin, points, 0.1, keeps_inside=True)
     np.testing.assert_allclose(kept, [0, -0.06, -0.15, -0.4], atol=1e-12)
+
+
+def armed() -> Take:
+    """Return a take whose first pose puts an arm of the post through the sheet."""
+    rig = sheet_rig(SIZE)
+    arm = Joint("arm", 0, JointType.BALL, translation=(0.15, -0.15, -0.1))
+    points = (BOX - [0.5, 1, 0.5]) * [0.06, 0.15, 0.06] + arm.translation
+    every = np.zeros((8, 1))
+    skin = Skin("linear", ("arm",), LoadedArray(every), LoadedArray(every + 1.0))
+    mesh = Mesh("arm", LoadedArray(points), LoadedArray(FACES.astype(float)), skin=skin)
+    joints, meshes = (*rig.joints, arm), (*rig.meshes, mesh)
+    raised = (-np.pi / 2, 0.0, 0.0)
+    return take_of(replace(rig, joints=joints, meshes=meshes), 24, 0.3, arm=raised)
+
+
+def test_cloth_that_a_limb_is_through_at_the_start_comes_clear(tmp_path: Path) -> None:
+    path = tmp_path / "states.npz"
+    whole, codes = simulated(armed(), save=str(path), save_at=(4.0,))
+    assert codes == ["SIM130"]
+    # The arm lifts it.
+    assert moved(whole)[0, :, 2].max() > 0.05
+    rest, _ = simulated(armed(), resume=path)
+    np.testing.assert_array_equal(moved(rest)[3:], moved(whole)[3:])
+    np.testing.assert_allclose(moved(rest)[0, :, 2], 0, atol=1e-12)
 
 
 def test_in_blocks_it_moves_the_same() -> None:
