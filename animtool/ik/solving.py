@@ -246,10 +246,11 @@ def check_fixed_joints(problem: Problem, start: ArrayLike | None) -> None:
     if start is None or not columns.size:
         return
     rows = np.atleast_2d(np.asarray(start, np.float64))
-    if rows.shape[-1] != problem.coordinates or not np.isfinite(rows).all():
+    if rows.ndim != 2 or rows.shape[1] != problem.coordinates:
         return
     offsets = np.abs(rows.take(columns, axis=-1) - problem.pose[columns])
-    if offsets.max(initial=0.0) <= FIXED_POSE_TOLERANCE:
+    is_equal = offsets.max(initial=0.0) <= FIXED_POSE_TOLERANCE
+    if is_equal or not np.isfinite(rows).all():
         return
     # Several coordinates may be one rotation.
     joints = problem.fixed_joints
