@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
@@ -70,7 +71,8 @@ def resolve_reference(
 
 def similar_file_hint(document: Document, name: str) -> str | None:
     """Return a hint for a missing file: a similar name, or how to spell its path."""
-    if "\\" in name:
+    # On Windows it separates folders, too.
+    if "\\" in name and os.sep == "/":
         return f"write / in paths: {name.replace(chr(92), '/')}"
     return (
         unexpanded_hint(name)

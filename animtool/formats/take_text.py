@@ -11,7 +11,7 @@ from animtool import _kernels
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
-from animtool.motion.quaternion_order import MOTION_ORDER_HINT, order_warning
+from animtool.motion.quaternion_order import python_order_warning
 from animtool.motion.take import Take
 
 CHUNK_ROWS = 4096
@@ -60,5 +60,5 @@ def write_text(
     check_outputs([path], [], overwrite=overwrite)
     take_text = build_text(take)
     write_parts(path, take_text.parts)
-    hint = MOTION_ORDER_HINT
-    return [*take_text.notices, *order_warning(take.rig, take.motion, str(path), hint)]
+    order_notices = python_order_warning(take.rig, take.motion, str(path))
+    return [*take_text.notices, *order_notices]

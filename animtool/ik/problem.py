@@ -76,24 +76,24 @@ class Problem:
         return self.rig.coordinates
 
     @cached_property
-    def fixed_columns(self) -> IntArray:
-        """Columns of joints that do not move, but would move a goal ``(C,)``.
+    def fixed_joints(self) -> list[int]:
+        """Indices of joints that do not move, but would move a goal.
 
         Of driven joints, the joints that drive them.
         """
-        rig = self.rig
         goals = [replace(goal, root=None) for goal in self.goals]
-        joints = find_moving_joints(rig, goals)
-        if rig.is_driven:
-            joints = joints.difference(plan_of(rig).joints)
-        names, slices = set(self.joints), coordinate_slices(rig)
-        columns = [
-            column
-            for j in sorted(joints)
-            if rig.joints[j].name not in names
-            for column in range(slices[j].start, slices[j].stop)
-        ]
-        return np.array(columns, np.int64)
+        joints = find_moving_joints(self.rig, goals)
+        if self.rig.is_driven:
+            joints = joints.difference(plan_of(self.rig).joints)
+        names = set(self.joints)
+        return sorted(j for j in joints if self.rig.joints[j].name not in names)
+
+    @cached_property
+    def fixed_columns(self) -> IntArray:
+        """Columns of these joints in a pose ``(C,)``."""
+        slices = coordinate_slices(self.rig)
+        columns = [np.arange(self.coordinates)[slices[j]] for j in self.fixed_joints]
+        return np.concatenate([np.zeros(0, np.int64), *columns])
 
     @property
     def limits(self) -> dict[str, RangeLimit | BallLimit]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import wraps
@@ -13,6 +14,7 @@ from animtool import _kernels
 from animtool.core.array_types import ArrayLike, FloatArray
 from animtool.core.errors import Fault, OptionError, listed
 from animtool.core.loaded import check_loaded
+from animtool.core.quantities import angle_text, length_text
 from animtool.ik.chain import joint_steps
 from animtool.ik.goals import Targets, pack
 from animtool.ik.options import IkMethod, IkOptions
@@ -25,7 +27,8 @@ from animtool.ik.rig_solver import (
     two_bone_obstacle,
 )
 from animtool.ik.sub_rig import with_mimics
-from animtool.rig.joints import coordinate_slices
+from animtool.maths import so3
+from animtool.rig.joints import local_from_coordinates
 from animtool.rig.kinematics import WorldTransforms
 from animtool.rig.skeleton import JointType
 
@@ -305,19 +308,31 @@ def check_fixed_joints(problem: Problem, start: ArrayLike | None) -> None:
     if start is None or not columns.size:
         return
     rows = np.atleast_2d(np.asarray(start, np.float64))
-    if rows.shape[-1] != problem.coordinates or not np.isfinite(rows).all():
+    if rows.ndim != 2 or rows.shape[1] != problem.coordinates:
         return
-    values, pose = rows.take(columns, axis=-1), problem.pose[columns]
-    offsets = np.abs(values - pose)
-    if offsets.max(initial=0.0) <= FIXED_POSE_TOLERANCE:
+    offsets = np.abs(rows.take(columns, axis=-1) - problem.pose[columns])
+    is_equal = offsets.max(initial=0.0) <= FIXED_POSE_TOLERANCE
+    if is_equal or not np.isfinite(rows).all():
         return
-    row, i = divmod(int(offsets.argmax()), len(columns))
-    slices = coordinate_slices(rig)
-    joint = next(j for j, part in enumerate(slices) if part.stop > columns[i])
-    message = f"{rig.names[joint]!r} does not move, but is {values[row, i]:.6g} in "
-    message += f"start and {pose[i]:.6g} in the pose of the problem"
+    # Several coordinates may be one rotation.
+    joints = problem.fixed_joints
+    poses, pose = (
+        local_from_coordinates(rig, each) for each in (rows, problem.pose[None])
+    )
+    distances = np.linalg.norm(poses.translations - pose.translations, axis=-1)
+    angles = so3.angle_between(poses.rotations, pose.rotations)
+    differences = np.maximum(distances, angles)[:, joints]
+    if differences.max() <= FIXED_POSE_TOLERANCE:
+        return
+    row, i = divmod(int(differences.argmax()), len(joints))
+    distance, angle = distances[row, joints[i]], angles[row, joints[i]]
+    amount = angle_text(math.degrees(angle))
+    if distance > angle:
+        amount = length_text(distance)
+    message = f"{rig.names[joints[i]]!r} does not move, but in start it is {amount} "
+    message += "from where the pose of the problem has it"
     hint = "write build(..., pose=start)"
-    if np.ptp(values, axis=0).max() > FIXED_POSE_TOLERANCE:
+    if np.ptp(rows.take(columns, axis=-1), axis=0).max() > FIXED_POSE_TOLERANCE:
         hint = "solve each start with its own problem, as a Session does"
     raise OptionError(Fault("IK016", message, hint=hint))
 

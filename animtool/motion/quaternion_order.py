@@ -25,7 +25,10 @@ MIN_STATIC_ANGLE = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class SwappedOrder:
-    """Median joint angles from rest [deg], as read and with w at the other end."""
+    """Median joint angles [deg], as read and with w at the other end.
+
+    They are from the rest pose, or of the rest pose from no rotation.
+    """
 
     joint_count: int
     angle_as_read: float
@@ -50,17 +53,23 @@ def find_swapped_order(rig: Rig, motion: Motion) -> SwappedOrder | None:
     sample_count = min(frame_count, MAX_SAMPLED_FRAMES)
     frames = np.linspace(0, frame_count - 1, sample_count).astype(np.int64)
     rotations = channel.select(frames).gather(rotated_joints)
-    rest_rotations = rig.rest_rotations[rotated_joints]
-    angle_as_read = _median_angle(rest_rotations, rotations)
+    return _compare_orders(rig.rest_rotations[rotated_joints], rotations)
+
+
+def _compare_orders(
+    references: FloatArray, rotations: FloatArray
+) -> SwappedOrder | None:
+    """Return the angles of rotations ``(F, J, 4)`` from references ``(J, 4)``."""
+    angle_as_read = _median_angle(references, rotations)
     if angle_as_read < MIN_WRONG_ANGLE:
         return None
     angle_swapped = min(
-        _median_angle(rest_rotations, np.roll(rotations, k, axis=2)) for k in (1, -1)
+        _median_angle(references, np.roll(rotations, k, axis=2)) for k in (1, -1)
     )
     if angle_swapped > MAX_RIGHT_ANGLE:
         return None
     degrees = np.degrees([angle_as_read, angle_swapped]).tolist()
-    return SwappedOrder(len(rotated_joints), *degrees)
+    return SwappedOrder(rotations.shape[1], *degrees)
 
 
 def _median_angle(rest_rotations: FloatArray, rotations: FloatArray) -> float:
@@ -72,17 +81,34 @@ def _median_angle(rest_rotations: FloatArray, rotations: FloatArray) -> float:
 ORDER_HINT = (
     "USD and clip files have w first, [w, x, y, z]; glTF has it last, [x, y, z, w]"
 )
-MOTION_ORDER_HINT = "rotations of a Motion have w last, (x, y, z, w)"
+PYTHON_ORDER_HINT = "rotations of a Motion and a Joint have w last, (x, y, z, w)"
 
 
-def order_warning(
-    rig: Rig, motion: Motion, path: str, hint: str = ORDER_HINT
-) -> list[Fault]:
+def order_warning(rig: Rig, motion: Motion, path: str) -> list[Fault]:
     """Return a warning if quaternions seem to have w at the wrong end (MOT222)."""
     order = find_swapped_order(rig, motion)
     if order is None:
         return []
-    return [Fault("MOT222", order.message, path, (), hint, Severity.WARNING)]
+    return [Fault("MOT222", order.message, path, (), ORDER_HINT, Severity.WARNING)]
+
+
+def python_order_warning(rig: Rig, motion: Motion, path: str) -> list[Fault]:
+    """Return that warning for a take made in Python, whose rest pose may be wrong."""
+    rest_order = None
+    if len(rig.joints) >= MIN_ROTATING_JOINTS:
+        identities = np.tile(so3.IDENTITY, (len(rig.joints), 1))
+        rest_order = _compare_orders(identities, rig.rest_rotations[None])
+    order = rest_order or find_swapped_order(rig, motion)
+    if order is None:
+        return []
+    message = order.message
+    if rest_order is not None:
+        message = f"rest rotations of {rest_order.joint_count} joints are "
+        message += (
+            f"{rest_order.angle_as_read:.0f}° in the median; with w at the other "
+        )
+        message += f"end of the quaternions, {rest_order.angle_swapped:.0f}°"
+    return [Fault("MOT222", message, path, (), PYTHON_ORDER_HINT, Severity.WARNING)]
 
 
 def with_order_warning(stream: TakeStream, path: str) -> TakeStream:
@@ -96,8 +122,7 @@ def with_order_warning(stream: TakeStream, path: str) -> TakeStream:
     def blocks() -> Iterator[Motion]:
         for i, block in enumerate(stream.blocks):
             if i == 0:
-                notices = order_warning(stream.rig, block, path, MOTION_ORDER_HINT)
-                stream.notices.extend(notices)
+                stream.notices.extend(python_order_warning(stream.rig, block, path))
             yield block
 
     return replace(stream, blocks=blocks())

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,14 @@ import pytest
 from animtool.cli.main import run
 from animtool.core.config import project_roots
 from animtool.core.files.reading import recorded_inputs
+from animtool.documents import references
 from animtool.documents.document import parse_document
-from animtool.documents.references import resolve_input, resolve_path, resolve_reference
+from animtool.documents.references import (
+    resolve_input,
+    resolve_path,
+    resolve_reference,
+    similar_file_hint,
+)
 
 
 def test_references_stay_in_the_roots(tmp_path: Path) -> None:
@@ -70,6 +77,16 @@ def test_a_file_of_a_nearly_right_name_is_named(tmp_path: Path) -> None:
         assert resolve_input(document, ("rig",), name, [tmp_path]) is None
     hints = [fault.hint for fault in document.faults]
     assert hints == [*["did you mean 'rigs/hero.rig.yaml'?"] * 2, None]
+
+
+def test_backslashes_are_wrong_only_where_they_separate_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    document = parse_document("clip: animtool/1\nrig: x\n", tmp_path / "a.clip.yaml")
+    name = "rigs\\hero.rig.yaml"
+    assert similar_file_hint(document, name) == "write / in paths: rigs/hero.rig.yaml"
+    monkeypatch.setattr(references, "os", SimpleNamespace(sep="\\"))
+    assert similar_file_hint(document, name) is None
 
 
 RIG = "rig: animtool/1\nname: r\njoints: [{name: a}]\n"

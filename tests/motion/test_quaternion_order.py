@@ -20,7 +20,11 @@ from animtool import (
 )
 from animtool.maths import so3
 from animtool.motion.motion import Channel
-from animtool.motion.quaternion_order import find_swapped_order, order_warning
+from animtool.motion.quaternion_order import (
+    find_swapped_order,
+    order_warning,
+    python_order_warning,
+)
 from animtool.motion.take import Take
 
 WALK = Path(__file__).parents[2] / "samples/walk/walk.bvh"
@@ -39,6 +43,18 @@ def codes(take: Take, rotations: np.ndarray) -> list[str]:
 
 def opened(take: Take) -> OpenTake:
     return OpenTake(Path("made"), TakeStream.of(take))
+
+
+def written_codes(take: Take, folder: Path) -> list[list[str]]:
+    """Return the codes of this warning, as each writer of takes has it."""
+    stage, output = folder / "a.usda", folder / "a.bvh"
+    written = (
+        usd.write(take, stage, overwrite=True).notices,
+        write_bvh(take, output, overwrite=True),
+        bake(opened(take), stage, BakeOptions(overwrite=True)).notices,
+        convert(opened(take), output, overwrite=True).notices,
+    )
+    return [[n.code for n in notices if n.code == "MOT222"] for notices in written]
 
 
 @pytest.mark.parametrize(("shift", "found"), [(-1, True), (1, True), (0, False)])
@@ -86,13 +102,20 @@ def test_identities_with_w_first(walk: Take, tmp_path: Path) -> None:
     for rotations, found in ((first, 1), (last, 0)):
         motion = replace(walk.motion, rotations=Channel.from_dense(rotations))
         take = replace(walk, motion=motion)
-        result = usd.write(take, tmp_path / "a.usda", overwrite=True)
-        stage, output = tmp_path / "b.usda", tmp_path / "b.bvh"
-        written = (
-            result.notices,
-            write_bvh(take, output, overwrite=True),
-            bake(opened(take), stage, BakeOptions(overwrite=True)).notices,
-            convert(opened(take), output, overwrite=True).notices,
-        )
-        for notices in written:
-            assert [notice.code for notice in notices].count("MOT222") == found
+        assert written_codes(take, tmp_path) == 4 * [["MOT222"] * found]
+
+
+@pytest.mark.parametrize(("rest", "found"), [((1, 0, 0, 0), 1), ((0, 0, 0, 1), 0)])
+def test_a_rest_pose_with_w_first(
+    walk: Take, tmp_path: Path, rest: tuple[float, float, float, float], found: int
+) -> None:
+    joints = tuple(replace(joint, rotation=rest) for joint in walk.rig.joints)
+    take = replace(walk, rig=replace(walk.rig, joints=joints))
+    assert written_codes(take, tmp_path) == 4 * [["MOT222"] * found]
+    frames_and_joints = walk.motion.rotations.dense().shape[:2]
+    rotations = np.tile(np.array(rest, float), (*frames_and_joints, 1))
+    motion = replace(walk.motion, rotations=Channel.from_dense(rotations))
+    notices = python_order_warning(take.rig, motion, "a")
+    assert len(notices) == found
+    for notice in notices:
+        assert notice.message.startswith("rest rotations of")

@@ -20,7 +20,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import LengthUnit
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Motion
-from animtool.motion.quaternion_order import MOTION_ORDER_HINT, order_warning
+from animtool.motion.quaternion_order import python_order_warning
 from animtool.motion.reorient import reorient
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.surfaces import surfaces_of
@@ -379,7 +379,7 @@ def write(
     layers, result = author(job, [usd_take])
     write_usd(job, layers, result)
     result.notices += notices
-    result.notices += order_warning(take.rig, take.motion, str(path), MOTION_ORDER_HINT)
+    result.notices += python_order_warning(take.rig, take.motion, str(path))
     if all(notice.code != "TAKE009" for notice in take.notices):
         result.notices += rate_warning(take.clock.rate)
     return result
