@@ -50,7 +50,7 @@ class SwappedLegs:
 
 
 def find_swapped_legs(
-    rig: Rig, positions: FloatArray, size: float, sides: SidePairs | None = None
+    rig: Rig, positions: FloatArray, body_size: float, sides: SidePairs | None = None
 ) -> SwappedLegs | None:
     """Return the legs that are on the other side of a body whose toes point forward.
 
@@ -60,7 +60,7 @@ def find_swapped_legs(
     Args:
         rig: J joints.
         positions: Positions of the joints ``(F, J, 3)`` [m].
-        size: Size of the body [m].
+        body_size: Size of the body [m].
         sides: Pairs of left and right joints; None determines them by name.
     """
     feet = find_feet(rig.names)
@@ -68,7 +68,7 @@ def find_swapped_legs(
     if facing_direction is None:
         return None
     sides = pair_sides(rig.names, rig.parents) if sides is None else sides
-    hips = _hip_pair(rig, sides, feet.tolist(), MIN_TOE_LENGTH * size)
+    hips = _hip_pair(rig, sides, feet.tolist(), MIN_TOE_LENGTH * body_size)
     if hips is None:
         return None
     left_hip, right_hip = hips
@@ -77,7 +77,7 @@ def find_swapped_legs(
     left_direction = np.cross(up_directions, facing_direction)
     hip_offsets = positions[:, left_hip] - positions[:, right_hip]
     left_distance = np.einsum("fc,fc->f", left_direction, hip_offsets)
-    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_TOE_LENGTH * size
+    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_TOE_LENGTH * body_size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
     leg_lengths = np.linalg.norm(up_directions, axis=1)
     is_used &= up_directions @ np.array(rig.up.vector) > MIN_UPRIGHT * leg_lengths
