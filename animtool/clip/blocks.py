@@ -168,17 +168,21 @@ class _BlockLayout:
         return replace(motion, **channel_by_name)
 
     def _arrange_channel(
-        self, part: str, channel: Channel | None, frames: int, skipped_frames: int
+        self,
+        channel_name: str,
+        channel: Channel | None,
+        frames: int,
+        skipped_frames: int,
     ) -> Channel:
         """Return a channel with the rows that move in any block animated."""
         if channel is None:
-            row_count = len(self.is_moving_by_part[part])
+            row_count = len(self.is_moving_by_part[channel_name])
             channel = Channel.static(np.zeros((row_count, 1)), frames)
-        rest = self._rest_by_channel.setdefault(part, channel.rest)
-        animated_rows = np.flatnonzero(self.is_moving_by_part[part])
+        rest = self._rest_by_channel.setdefault(channel_name, channel.rest)
+        animated_rows = np.flatnonzero(self.is_moving_by_part[channel_name])
         is_complete = np.array_equal(channel.animated, animated_rows)
         values = channel.values if is_complete else channel.gather(animated_rows)
-        if part == "rotations":
+        if channel_name == "rotations":
             # Within a block signs continue already.
             is_flipped = (values[0] * self._last_rotations).sum(
                 axis=-1, keepdims=True

@@ -80,18 +80,22 @@ local_rotation, scale
     return _joint_kind(name, rig)
 
 
-def _full_target(text: str, rig: Rig | None) -> str | None:
+def _full_target(written_target: str, rig: Rig | None) -> str | None:
     """Return a hint with the full target of a joint, shape or control given by name."""
     if rig is None:
         return None
     for kind, names in (("control", rig.control_names), ("shape", rig.shape_names)):
-        if text in names:
-            return f"write {kind}/{text}"
-    joint = text if text in rig.names else text.rpartition(".")[0]
+        if written_target in names:
+            return f"write {kind}/{written_target}"
+    joint = (
+        written_target
+        if written_target in rig.names
+        else written_target.rpartition(".")[0]
+    )
     if joint not in rig.names:
         return None
     parts = _parts_of(rig.joints[rig.index(joint)].type)
-    written_part = text[len(joint) + 1 :]
+    written_part = written_target[len(joint) + 1 :]
     return f"write joint/{joint}.{written_part if written_part in parts else parts[0]}"
 
 
@@ -117,18 +121,22 @@ def _joint_kind(name: str, rig: Rig | None) -> str | Fault:
     return part.removeprefix("local_")
 
 
-def _part_fault(name: str, rig: Rig | None) -> Fault:
+def _part_fault(joint_target: str, rig: Rig | None) -> Fault:
     """Return a fault for a joint target whose part is missing or unknown."""
-    joint, part = split_part(name.replace("/", "."), KEYED_PARTS)
+    joint, part = split_part(joint_target.replace("/", "."), KEYED_PARTS)
     if part and rig is not None and joint in rig.names:
         hint = f"write joint/{joint}.{part}"
-        return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
-    joint, _, part = name.rpartition(".")
-    if not joint or rig is None or joint not in rig.names or name in rig.names:
-        kind = rig.joints[rig.index(name)].type if rig and name in rig.names else None
-        hint = part_hint(name, KEYED_PARTS, kind)
-        return Fault("CLIP001", f"missing part of joint {name!r}", hint=hint)
-    hint = part_hint(name, KEYED_PARTS, rig.joints[rig.index(joint)].type)
+        return Fault("CLIP001", f"missing part of joint {joint_target!r}", hint=hint)
+    joint, _, part = joint_target.rpartition(".")
+    if not joint or rig is None or joint not in rig.names or joint_target in rig.names:
+        kind = (
+            rig.joints[rig.index(joint_target)].type
+            if rig and joint_target in rig.names
+            else None
+        )
+        hint = part_hint(joint_target, KEYED_PARTS, kind)
+        return Fault("CLIP001", f"missing part of joint {joint_target!r}", hint=hint)
+    hint = part_hint(joint_target, KEYED_PARTS, rig.joints[rig.index(joint)].type)
     return Fault("CLIP001", f"unknown part {part!r} of joint {joint!r}", hint=hint)
 
 

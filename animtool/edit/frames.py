@@ -11,7 +11,7 @@ from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, OptionError, value_excerpt
 
 
-def exact_fraction(number: float, name: str) -> Fraction:
+def exact_fraction(number: float, argument_name: str) -> Fraction:
     """Return the fraction that a decimal literal denotes.
 
     >>> exact_fraction(0.1, "pivot")
@@ -20,10 +20,10 @@ def exact_fraction(number: float, name: str) -> Fraction:
     try:
         is_finite = math.isfinite(number)
     except TypeError as error:
-        message = f"{name} must be a number, not {value_excerpt(number)}"
+        message = f"{argument_name} must be a number, not {value_excerpt(number)}"
         raise TypeError(message) from error
     if not is_finite:
-        raise frame_error(f"{name} is {number}, which is not a frame")
+        raise frame_error(f"{argument_name} is {number}, which is not a frame")
     return Fraction(repr(float(number)))
 
 
@@ -49,21 +49,21 @@ def frame_error(message: str, hint: str | None = None) -> OptionError:
     return OptionError(Fault("SCN013", message, hint=hint))
 
 
-def frame_index(clock: Clock, frame: float, name: str) -> int:
+def frame_index(clock: Clock, frame: float, argument_name: str) -> int:
     """Return the index of the frame nearest to a time code.
 
     >>> frame_index(Clock(Fraction(24), Fraction(1001), Fraction(1), 9), 1003, "first")
     2
     """
-    index = round((exact_fraction(frame, name) - clock.start) / clock.step)
+    index = round((exact_fraction(frame, argument_name) - clock.start) / clock.step)
     if not 0 <= index < clock.count:
         last = clock.start + (clock.count - 1) * clock.step
         nearest = clock.start if index < 0 else last
         raise frame_error(
-            f"{name} is frame {frame:g}, but the take has "
+            f"{argument_name} is frame {frame:g}, but the take has "
             f"{float(clock.start):g}-{float(last):g}",
-            seconds_hint({name: frame}, clock.start, clock.fps, last)
-            or f"write {argument(name, f'{float(nearest):g}')}",
+            seconds_hint({argument_name: frame}, clock.start, clock.fps, last)
+            or f"write {argument(argument_name, f'{float(nearest):g}')}",
         )
     return index
 

@@ -138,7 +138,7 @@ MAX_BLEND_DISTANCE = 2.0
 
 
 def _distance_warning(
-    take: Take, other: Take, clock: Clock, options: BlendOptions
+    take: Take, other_take: Take, clock: Clock, options: BlendOptions
 ) -> list[Fault]:
     """Return a warning if roots are far apart while a weight changes (SCN122)."""
     if isinstance(options.weight, (int, float)) or not take.rig.joints:
@@ -148,9 +148,9 @@ def _distance_warning(
     if not len(changing_frames):
         return []
     delay_frames = exact_fraction(options.delay, "delay") / clock.step
-    other = match_rig(take.rig, other)
+    other_take = match_rig(take.rig, other_take)
     root, positions = int(take.rig.roots[0]), []
-    for each, delay in ((take, Fraction(0)), (other, delay_frames)):
+    for each, delay in ((take, Fraction(0)), (other_take, delay_frames)):
         motion = sample_other_take(each, clock.rate, 0, clock.count, delay)
         frames = motion.translations.gather(np.array([root]))[:, 0]
         positions.append(np.broadcast_to(frames, (clock.count, 3))[changing_frames])
@@ -401,7 +401,7 @@ class _LayerPlan:
         return weights_at(self.weight, times, self.interpolation, is_bounded=is_bounded)
 
     def _layered_blocks(
-        self, stream: TakeStream, other: Take, joints: list[int] | None
+        self, stream: TakeStream, other_take: Take, joints: list[int] | None
     ) -> Iterator[Motion]:
         """Yield the layered motion; add warnings about the complete take at the end.
 
@@ -412,7 +412,7 @@ class _LayerPlan:
         is_override = self.mode == LayerMode.OVERRIDE
         combine_motions = interpolate_motions if is_override else add_delta
         is_constant = isinstance(self.weight, (int, float))
-        sampler = TakeSampler.from_take(other)
+        sampler = TakeSampler.from_take(other_take)
         rate = stream.fps / stream.step
         frame_count, last_rotations = 0, None
         largest_displacement = _LargestDisplacement(stream.rig, self.placed_joints)
@@ -435,7 +435,7 @@ class _LayerPlan:
         stream.notices.extend(weight_warnings(self.weight, clock, in_shot=self.in_shot))
         stream.notices.extend(largest_displacement.warnings())
         if not self.in_shot:
-            stream.notices.extend(_delay_warnings(other, self.delay, clock))
+            stream.notices.extend(_delay_warnings(other_take, self.delay, clock))
 
 
 class _LargestDisplacement:
@@ -473,13 +473,13 @@ class _LargestDisplacement:
         return [warning("SCN120", message, "put the pass ik after this layer")]
 
 
-def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
+def _delay_warnings(other_take: Take, delay: float, clock: Clock) -> list[Fault]:
     """Return a warning if a delayed take never plays (SCN118)."""
-    if other.clock.count < 2:
+    if other_take.clock.count < 2:
         return []
     first, last = (float(clock.times[end]) for end in (0, -1))
     play_start = first + float(delay)
-    seconds = (other.clock.count - 1) / other.clock.rate
+    seconds = (other_take.clock.count - 1) / other_take.clock.rate
     play_end = play_start + float(seconds * clock.fps)
     if first < play_end and play_start < last:
         return []
@@ -493,9 +493,9 @@ def _delay_warnings(other: Take, delay: float, clock: Clock) -> list[Fault]:
     return [warning("SCN118", message, hint)]
 
 
-def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
+def _pose_notices(other_take: Take, joint_indices: list[int] | None) -> list[Fault]:
     """Return a warning if an additive layer has poses, not differences (SCN119)."""
-    rig = other.rig
+    rig = other_take.rig
     joint_rows = np.arange(len(rig.joints))
     if joint_indices is not None:
         joint_rows = np.array(joint_indices)
@@ -504,7 +504,9 @@ def _pose_notices(other: Take, joint_indices: list[int] | None) -> list[Fault]:
     has_length = (rest_lengths > 0) & (rig.parents[joint_rows] >= 0)
     if not has_length.any():
         return []
-    translations = other.motion.translations.select(slice(0, 1)).dense()[0, joint_rows]
+    translations = other_take.motion.translations.select(slice(0, 1)).dense()[
+        0, joint_rows
+    ]
     distances = np.linalg.norm(translations - rest_translations, axis=1)
     has_pose = has_length & (distances <= POSE_TOLERANCE * rest_lengths)
     if 2 * has_pose.sum() < has_length.sum():

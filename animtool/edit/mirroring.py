@@ -272,25 +272,28 @@ def _is_unpaired(rig: Rig, partners: IntArray) -> BoolArray:
 
 
 def _unpaired_warnings(
-    kind: str, names: Sequence[str], pairs: SidePairs, is_kept: BoolArray | None = None
+    part_kind: str,
+    part_names: Sequence[str],
+    partner_pairs: SidePairs,
+    is_kept: BoolArray | None = None,
 ) -> Iterator[Fault]:
     """Yield a warning about joints of one side without a partner."""
-    unpaired_indices = set(pairs.unpaired_indices)
+    unpaired_indices = set(partner_pairs.unpaired_indices)
     if is_kept is not None:
         unpaired_indices.update(np.flatnonzero(is_kept).tolist())
     if not unpaired_indices:
         return
-    names_text = listed([repr(names[i]) for i in sorted(unpaired_indices)])
-    message = f"mirror: {kind} of one side have no partner: {names_text}"
-    likely_pairs = find_likely_pairs(names, pairs)
-    if kind != "joints":
+    names_text = listed([repr(part_names[i]) for i in sorted(unpaired_indices)])
+    message = f"mirror: {part_kind} of one side have no partner: {names_text}"
+    likely_pairs = find_likely_pairs(part_names, partner_pairs)
+    if part_kind != "joints":
         hint = "each keeps its values; give both sides the same name except for the "
         hint += "side"
     elif likely_pairs:
         written_pairs = ", ".join(f"[{a}, {b}]" for a, b in likely_pairs)
         hint = f"add pairs: [{written_pairs}] to the pass's options to pair them"
     else:
-        unpaired_name = names[min(unpaired_indices)]
+        unpaired_name = part_names[min(unpaired_indices)]
         hint = f"add pairs: [[{unpaired_name}, OTHER]] to the pass's options to pair "
         hint += "two joints; without a pair each keeps its own motion"
     yield warning("SCN082", message, hint)

@@ -160,15 +160,16 @@ def missing_frames_fault(
     first: Fraction,
     last: Fraction,
     *,
-    name: str = "frame_range",
+    argument_name: str = "frame_range",
     noun: str = "take",
 ) -> Fault:
     """Return a fault for requested frames that a take does not have (CLI005).
 
-    The argument ``name`` names the frames of an object called ``noun``.
+    ``argument_name`` is the argument that requests them, ``noun`` what lacks them.
 
     >>> missing = FrameRange(0, 0)
-    >>> missing_frames_fault(missing, Fraction(1), Fraction(64), name="rest").message
+    >>> first, last = Fraction(1), Fraction(64)
+    >>> missing_frames_fault(missing, first, last, argument_name="rest").message
     'rest: frame 0 is not in the take, which has frames 1-64'
     """
     first_frame, last_frame = frame_range.first, frame_range.last
@@ -177,7 +178,7 @@ def missing_frames_fault(
         if first_frame == last_frame
         else f"frames {first_frame}-{last_frame} are"
     )
-    message = f"{argument(name)}: {frames_text} not in the {noun}, "
+    message = f"{argument(argument_name)}: {frames_text} not in the {noun}, "
     message += f"which has frames {frame_label(first)}-{frame_label(last)}"
     return Fault("CLI005", message)
 

@@ -106,7 +106,7 @@ def interpolation_notices(
 
 
 def _largest_deviation(
-    name: str, channel: Channel, columns: IntArray, positions: FramePositions
+    channel_name: str, channel: Channel, columns: IntArray, positions: FramePositions
 ) -> InterpolationDeviation | None:
     """Return the largest error of the given columns of a channel."""
     (indices_between,) = np.nonzero(positions.fractions > 0)
@@ -142,7 +142,7 @@ def _largest_deviation(
         if largest_error is None or size > largest_error.size:
             frame = float(frames[worst_index] + fraction[worst_index])
             row = int(channel.animated[columns[worst_column]])
-            largest_error = InterpolationDeviation(name, row, frame, size)
+            largest_error = InterpolationDeviation(channel_name, row, frame, size)
     return largest_error
 
 

@@ -73,21 +73,25 @@ class Chain:
         q[:, columns] = _conjugate(so3.normalize(q[:, columns]), ball_rotations)
         return q
 
-    def into_rig(self, q: FloatArray, coordinates: FloatArray) -> FloatArray:
+    def into_rig(
+        self, chain_coordinates: FloatArray, coordinates: FloatArray
+    ) -> FloatArray:
         """Return rig coordinates ``(B, Q)`` updated from the chain's ``(B, C)``."""
-        q = q.copy()
+        chain_coordinates = chain_coordinates.copy()
         columns, ball_rotations = self._ball_columns
-        q[:, columns] = _conjugate(q[:, columns], so3.conjugate(ball_rotations))
+        chain_coordinates[:, columns] = _conjugate(
+            chain_coordinates[:, columns], so3.conjugate(ball_rotations)
+        )
         if len(self.full_revolution_columns):
             low, high = self.periods[self.full_revolution_columns].T
-            angles = q[:, self.full_revolution_columns]
+            angles = chain_coordinates[:, self.full_revolution_columns]
             revolutions = np.round((angles - (low + high) / 2) / (2 * np.pi))
             wrapped_angles = np.clip(angles - 2 * np.pi * revolutions, low, high)
-            q[:, self.full_revolution_columns] = np.where(
+            chain_coordinates[:, self.full_revolution_columns] = np.where(
                 (angles < low) | (angles > high), wrapped_angles, angles
             )
         rig_coordinates = coordinates.copy()
-        rig_coordinates[:, self.rig_columns] = q * self.scales
+        rig_coordinates[:, self.rig_columns] = chain_coordinates * self.scales
         return rig_coordinates
 
 

@@ -257,21 +257,26 @@ class _TargetsReader:
         return self.value_reader.read_value(location, value, key)
 
     def _read_effector(
-        self, location: Location, name: str
+        self, location: Location, effector_name: str
     ) -> tuple[str | None, IkChain | None]:
         """Return the joint of an effector, and the chain whose tip it is."""
         if self.rig is None:
-            return name, None
+            return effector_name, None
         for chain in self.rig.chains:
-            if chain.name == name:
+            if chain.name == effector_name:
                 return chain.tip, chain
-        if name in self.rig.names:
-            return name, None
+        if effector_name in self.rig.names:
+            return effector_name, None
         if not self.document.is_placeholder(location):
             chain_names = [chain.name for chain in self.rig.chains]
-            message = f"{name!r} is neither a chain nor a joint of {self.rig.name!r}"
+            message = (
+                f"{effector_name!r} is neither a chain nor a joint of {self.rig.name!r}"
+            )
             self.document.add(
-                "TGT001", location, message, self.rig.joint_hint(name, chain_names)
+                "TGT001",
+                location,
+                message,
+                self.rig.joint_hint(effector_name, chain_names),
             )
         return None, None
 
@@ -279,14 +284,14 @@ class _TargetsReader:
         self,
         goal_location: Location,
         model: GoalModel,
-        joint: str | None,
+        joint_name: str | None,
         chain: IkChain | None,
     ) -> str | None:
         """Return the root of a goal from the file, else the root of its chain."""
         root_name = model.root
         if root_name is None:
             return None if chain is None else chain.root
-        if self.rig is None or joint is None:
+        if self.rig is None or joint_name is None:
             return root_name
         location = (*goal_location, "root")
         if root_name not in self.rig.names:
@@ -294,9 +299,11 @@ class _TargetsReader:
             hint = self.rig.joint_hint(root_name)
             self.document.add("TGT001", location, message, hint)
             return None
-        if self.rig.index(root_name) not in self.rig.upwards(self.rig.index(joint)):
+        if self.rig.index(root_name) not in self.rig.upwards(
+            self.rig.index(joint_name)
+        ):
             form = "write effector: {joint}, root: {root}"
-            message, hint = root_problem(self.rig, root_name, joint, form)
+            message, hint = root_problem(self.rig, root_name, joint_name, form)
             self.document.add("TGT012", location, message, hint)
         return root_name
 

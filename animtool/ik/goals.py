@@ -366,7 +366,7 @@ def pack(targets: Targets, goals: tuple[Goal, ...]) -> FloatArray:
 
 
 def _target_array(
-    name: str,
+    field_name: str,
     values: ArrayLike | None,
     goal_count: int,
     columns: slice,
@@ -381,11 +381,11 @@ def _target_array(
         array = np.asarray(values, np.float64)
     except (TypeError, ValueError):
         # Text, or lists of different lengths.
-        message = f"{name} must be numbers of shape {expected_shape}"
+        message = f"{field_name} must be numbers of shape {expected_shape}"
     else:
         if array.ndim == 3 and array.shape[1:] == (goal_count, component_count):
             return array
-        message = f"{name} must have shape {expected_shape}, not {array.shape}"
+        message = f"{field_name} must have shape {expected_shape}, not {array.shape}"
     faults.append(Fault("IK010", message))
     return None
 

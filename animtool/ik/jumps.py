@@ -127,7 +127,12 @@ def find_jumps(
     is_pop = find_translation_pops(solved_steps, *pop_limits)[0]
     is_jump |= is_pop & ~find_translation_pops(source_steps, *pop_limits)[0]
     jumps += _jumps_at(
-        joint_names, is_jump, solved_sizes, source_sizes, goal_steps, length=length
+        joint_names,
+        is_jump,
+        solved_sizes,
+        source_sizes,
+        goal_steps,
+        chain_length=length,
     )
     return tuple(sorted(jumps, key=lambda jump: jump.frame))
 
@@ -180,7 +185,7 @@ def _jumps_at(
     steps: FloatArray,
     source_steps: FloatArray,
     goal_moves: FloatArray,
-    length: float | None = None,
+    chain_length: float | None = None,
 ) -> list[Jump]:
     """Return the jumps at flagged steps ``(F - 1, J)``; slides if a length is given."""
     is_by_goals = steps - source_steps <= MIN_JUMP + GOAL_MOTION_FACTOR * goal_moves
@@ -189,9 +194,9 @@ def _jumps_at(
         Jump(
             int(t) + 1,
             joint_names[int(j)],
-            float(steps[t, j]) * (length or 1.0),
-            float(source_steps[t, j]) * (length or 1.0),
-            length is not None,
+            float(steps[t, j]) * (chain_length or 1.0),
+            float(source_steps[t, j]) * (chain_length or 1.0),
+            chain_length is not None,
             bool(is_by_goals[t, j]) and bool(goal_moves[t, 0] > 0),
         )
         for t, j in steps_and_joints

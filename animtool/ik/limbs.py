@@ -245,21 +245,29 @@ def limb_arrays(limbs: Sequence[GoalLimb]) -> tuple[IntArray, FloatArray]:
     return goals, np.array(rows, np.float64).reshape(-1, 7)
 
 
-def bend_angle(a: FloatArray, b: FloatArray, distance: FloatArray) -> FloatArray:
+def bend_angle(
+    upper_length: FloatArray, lower_length: FloatArray, distance: FloatArray
+) -> FloatArray:
     """Return the angle between two bones' directions, 0 where straight.
 
     Args:
-        a: Length of the upper bone ``(B,)``.
-        b: Length of the lower bone ``(B,)``.
+        upper_length: Length of the upper bone ``(B,)``.
+        lower_length: Length of the lower bone ``(B,)``.
         distance: Distance from root to tip, clamped to the reach.
 
     >>> bend_angle(np.ones(2), np.ones(2), np.array([2.0, 0.0])).round(6).tolist()
     [0.0, 3.141593]
     """
-    clamped_distance = np.clip(distance, np.abs(a - b), a + b)
+    clamped_distance = np.clip(
+        distance, np.abs(upper_length - lower_length), upper_length + lower_length
+    )
     # The half-angle form stays accurate at both ends.
-    squared_sine = (a + b - clamped_distance) * (a + b + clamped_distance)
-    squared_cosine = (clamped_distance - (a - b)) * (clamped_distance + (a - b))
+    squared_sine = (upper_length + lower_length - clamped_distance) * (
+        upper_length + lower_length + clamped_distance
+    )
+    squared_cosine = (clamped_distance - (upper_length - lower_length)) * (
+        clamped_distance + (upper_length - lower_length)
+    )
     half_angle_parts = (
         np.sqrt(np.maximum(squared_sine, 0)),
         np.sqrt(np.maximum(squared_cosine, 0)),

@@ -209,12 +209,14 @@ class _ValueBuilder:
     reduce: float | None  # tolerance of sparse keys [m]; None keeps all
     used_names: set[str] = field(default_factory=set)  # array names in use
 
-    def build_value(self, rows: FloatArray, name: str, joint: Joint) -> SampledValue:
+    def build_value(
+        self, rows: FloatArray, array_name: str, joint: Joint
+    ) -> SampledValue:
         """Return the target value of rows ``(F, 3)`` or ``(F, 4)``.
 
         Args:
             rows: Values of each frame.
-            name: Name of the array.
+            array_name: Name of the array.
             joint: Joint that decides the Euler order.
         """
         if (rows == rows[0]).all():
@@ -224,7 +226,7 @@ class _ValueBuilder:
         if self.array_file is None:
             return KeyedValue(self._keys_per_frame(rows))
         return ArrayRows(
-            f"{self.array_file}#{self._unique_name(name)}", rows, self.first
+            f"{self.array_file}#{self._unique_name(array_name)}", rows, self.first
         )
 
     def _unique_name(self, name: str) -> str:

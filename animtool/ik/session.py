@@ -326,20 +326,20 @@ def _unknown_joint_faults(
 
 
 def _split_targets(
-    name: str, goal: Goal | None, value: Any
+    goal_name: str, goal: Goal | None, goal_value: Any
 ) -> tuple[Sequence[Any], tuple[bool, ...]]:
     """Split the value of a goal into targets, and a mask of the kinds they set."""
-    if goal is None and (not isinstance(value, tuple) or len(value) == 3):
-        return (value,), (True, False)
+    if goal is None and (not isinstance(goal_value, tuple) or len(goal_value) == 3):
+        return (goal_value,), (True, False)
     kinds = JOINT_KINDS if goal is None else goal.kinds
     if len(kinds) == 1:
-        return (value,), (True,)
-    if not isinstance(value, (tuple, list)) or len(value) != len(kinds):
-        raise _shape_error({name: value})
-    kind_mask = tuple([target is not None for target in value])
+        return (goal_value,), (True,)
+    if not isinstance(goal_value, (tuple, list)) or len(goal_value) != len(kinds):
+        raise _shape_error({goal_name: goal_value})
+    kind_mask = tuple([target is not None for target in goal_value])
     if goal is not None and not all(kind_mask):
-        raise _shape_error({name: value})
-    return [target for target in value if target is not None], kind_mask
+        raise _shape_error({goal_name: goal_value})
+    return [target for target in goal_value if target is not None], kind_mask
 
 
 def _goal_of_call(rig: Rig, name: str, kind_mask: tuple[bool, ...]) -> Goal:

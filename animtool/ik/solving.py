@@ -283,17 +283,17 @@ def raise_faults(faults_by_option: Mapping[str, list[Fault]]) -> None:
 
 
 def pose_rows(
-    problem: Problem, pose: ArrayLike | None, batch_size: int, name: str
+    problem: Problem, pose: ArrayLike | None, batch_size: int, argument_name: str
 ) -> FloatArray:
     """Return poses ``(B, Q)``, by default the problem's; a single pose is repeated."""
     coordinate_count = problem.coordinates
     poses = problem.pose if pose is None else np.asarray(pose, np.float64)
     if poses.shape not in {(coordinate_count,), (batch_size, coordinate_count)}:
-        message = f"{name} must have shape ({coordinate_count},) or "
+        message = f"{argument_name} must have shape ({coordinate_count},) or "
         message += f"({batch_size}, {coordinate_count})"
         raise OptionError(Fault("IK012", f"{message}, not {poses.shape}"))
     if not np.isfinite(poses).all():
-        raise OptionError(Fault("IK013", f"{name} is not finite"))
+        raise OptionError(Fault("IK013", f"{argument_name} is not finite"))
     repeated_rows = np.empty((batch_size, coordinate_count))
     repeated_rows[:] = poses
     return repeated_rows

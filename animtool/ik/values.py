@@ -377,9 +377,11 @@ class ValueReader:
             return None
         return path
 
-    def _read_array(self, location: Location, text: str, key: str) -> ArrayRows | None:
+    def _read_array(
+        self, location: Location, reference_text: str, key: str
+    ) -> ArrayRows | None:
         """Return the rows of an array that a text such as `file.npz#name` refers to."""
-        file_name, array_name = split_reference(text, key)
+        file_name, array_name = split_reference(reference_text, key)
         path = resolve_reference(
             self.document, location, file_name, self.reference_roots
         )
@@ -399,37 +401,44 @@ class ValueReader:
         row_count = self.row_count
         if values.ndim != 2 or values.shape[1] != component_count or not len(values):
             row_text = "F" if row_count is None else row_count
-            message = f"{text!r} has shape {values.shape}, "
+            message = f"{reference_text!r} has shape {values.shape}, "
             message += f"not ({row_text}, {component_count})"
             self.document.add("TGT006", location, message)
             return None
         if row_count is not None and len(values) != row_count:
-            message = f"{text!r} has {counted(len(values), 'row')}, but the range has "
+            rows_text = counted(len(values), "row")
+            message = f"{reference_text!r} has {rows_text}, but the range has "
             message += counted(row_count, "frame")
             self.document.add("TGT006", location, message, "write a row for each frame")
             return None
-        return self._check_finite(location, text, values)
+        return self._check_finite(location, reference_text, values)
 
     def _check_finite(
-        self, array_location: Location, text: str, values: FloatArray
+        self, array_location: Location, reference_text: str, values: FloatArray
     ) -> ArrayRows | None:
         """Return finite rows of an array, or None after recording a fault."""
         invalid_rows = np.flatnonzero(~np.isfinite(values).all(axis=1))
         if invalid_rows.size:
             i = int(invalid_rows[0])
-            message = f"{text!r} holds {values[i].tolist()} in row {i}, not finite "
+            message = (
+                f"{reference_text!r} holds {values[i].tolist()} in row {i}, not finite "
+            )
             message += "numbers"
             self.document.add("TGT007", array_location, message)
             return None
         location = self.document.position(array_location)
         if values.shape[1] == 3:
-            return ArrayRows(text, values * self.units.length, self.first, location)
+            return ArrayRows(
+                reference_text, values * self.units.length, self.first, location
+            )
         rotations, is_invalid = file_quaternions(values)
         if is_invalid:
             row = is_invalid[0]
-            message = f"{text!r} contains a quaternion of zero length in row {row}"
+            message = (
+                f"{reference_text!r} contains a quaternion of zero length in row {row}"
+            )
             self.document.add("TGT007", array_location, message)
             return None
         k = int(np.abs(np.linalg.norm(values, axis=1) - 1.0).argmax())
         warn_of_quaternion_length(self.document, array_location, values[k].tolist())
-        return ArrayRows(text, rotations, self.first, location)
+        return ArrayRows(reference_text, rotations, self.first, location)

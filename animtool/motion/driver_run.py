@@ -167,17 +167,24 @@ class DriverRun:
             self._last_angle_by_joint[j] = float(unwrapped_angles[-1])
         return unwrapped_angles
 
-    def record_wrap(self, name: str, twists: FloatArray, times: FloatArray) -> None:
+    def record_wrap(
+        self, coordinate_name: str, twists: FloatArray, times: FloatArray
+    ) -> None:
         """Record the first frame at which a twist jumps by over half a revolution."""
         if not len(twists):
             return
         steps = np.abs(
-            np.diff(twists, prepend=self._last_twist_by_coordinate.get(name, twists[0]))
+            np.diff(
+                twists,
+                prepend=self._last_twist_by_coordinate.get(coordinate_name, twists[0]),
+            )
         )
         if (steps > HALF_REVOLUTION).any():
             wrap_index = int(np.argmax(steps > HALF_REVOLUTION))
-            self._wrap_frame_by_coordinate.setdefault(name, float(times[wrap_index]))
-        self._last_twist_by_coordinate[name] = float(twists[-1])
+            self._wrap_frame_by_coordinate.setdefault(
+                coordinate_name, float(times[wrap_index])
+            )
+        self._last_twist_by_coordinate[coordinate_name] = float(twists[-1])
 
     def _find_targets_to_keep(self, motion: Motion) -> set[str]:
         """Return targets that keep the motion's values if the motion has no controls.
@@ -333,10 +340,10 @@ class _CoordinateReader:
             self.values_by_coordinate[name] = self._read_coordinate(name)
         return self.values_by_coordinate[name]
 
-    def _read_coordinate(self, name: str) -> FloatArray:
+    def _read_coordinate(self, coordinate_name: str) -> FloatArray:
         """Return a coordinate from the motion's transforms."""
         rig = self.run.rig
-        joint_name, part = split_coordinate(name)
+        joint_name, part = split_coordinate(coordinate_name)
         j = rig.index(joint_name)
         joint = rig.joints[j]
         inverse_rest = so3.conjugate(rig.rest_rotations[j])
@@ -347,7 +354,7 @@ class _CoordinateReader:
         if joint.type is JointType.BALL:
             values = ball_part_values(joint, part, rotation)
             if part == TWIST:
-                self.run.record_wrap(name, values, self.times)
+                self.run.record_wrap(coordinate_name, values, self.times)
             return values
         sine = rotation[:, :3] @ np.array(joint.axis)
         angles = 2.0 * np.arctan2(sine, rotation[:, 3])

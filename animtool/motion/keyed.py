@@ -53,7 +53,7 @@ class KeyInterpolation(StrEnum):
     SMOOTH = "smooth"
 
 
-def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
+def key_arrays(keys: KeyPairs, option_name: str) -> tuple[FloatArray, FloatArray]:
     """Return times and values of pairs ``[time, value]``, each ``(K,)``.
 
     Malformed pairs raise SCN015.
@@ -64,15 +64,19 @@ def key_arrays(keys: KeyPairs, name: str) -> tuple[FloatArray, FloatArray]:
     except (TypeError, ValueError):
         key_table = np.zeros(0)
     if key_table.ndim != 2 or key_table.shape[1] != 2:
-        message = f"{name} must be a list of pairs such as [[1, 0], [10, 1]]"
+        message = f"{option_name} must be a list of pairs such as [[1, 0], [10, 1]]"
         raise OptionError(Fault("SCN015", f"{message}, not {pairs!r:.80}"))
     if not np.isfinite(key_table).all():
-        raise OptionError(Fault("SCN015", f"{name} holds a number that is not finite"))
+        raise OptionError(
+            Fault("SCN015", f"{option_name} holds a number that is not finite")
+        )
     descending_rows = np.flatnonzero(np.diff(key_table[:, 0]) <= 0)
     if len(descending_rows):
         time = key_table[descending_rows[0], 0]
         next_time = key_table[descending_rows[0] + 1, 0]
-        message = f"times of {name} must ascend, and {next_time:g} follows {time:g}"
+        message = (
+            f"times of {option_name} must ascend, and {next_time:g} follows {time:g}"
+        )
         raise OptionError(Fault("SCN015", message))
     return key_table[:, 0], key_table[:, 1]
 

@@ -294,7 +294,7 @@ def _add_visibility(
             mesh["visible"] = draft.add_mask(is_mesh_visible)
 
 
-def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
+def _add_markers(draft: PageDraft, set_name: str, markers: Markers) -> None:
     """Add markers to a page, sampled at the nearest frames."""
     clock = markers.clock
     rate_ratio = float(clock.fps / draft.timeline.fps)
@@ -306,7 +306,9 @@ def _add_markers(draft: PageDraft, name: str, markers: Markers) -> None:
     up_rotation = up_from_up(UpAxis.Y, markers.up)
     if up_rotation is not None:
         positions = so3.rotate(np.array(up_rotation), positions)
-    draft.add_points(name, draft.add_positions(positions), names=list(markers.names))
+    draft.add_points(
+        set_name, draft.add_positions(positions), names=list(markers.names)
+    )
 
 
 def _add_findings(draft: PageDraft, files: Sequence[Path]) -> None:

@@ -178,7 +178,7 @@ class PageDraft:
 
 
 @contextmanager
-def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
+def skip_unreadable(draft: PageDraft, content_name: str) -> Iterator[None]:
     """Return a context that skips unreadable content with a notice."""
     try:
         yield
@@ -189,7 +189,7 @@ def skip_unreadable(draft: PageDraft, name: str) -> Iterator[None]:
         )
         fault = error.faults[0]
         draft.add_notice(
-            f"{name} is skipped: {fault.code} {fault.message}{more_faults}"
+            f"{content_name} is skipped: {fault.code} {fault.message}{more_faults}"
         )
 
 

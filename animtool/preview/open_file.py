@@ -242,7 +242,7 @@ def _open_markers(path: Path, source_options: SourceOptions) -> OpenFile:
     return file
 
 
-def _open_stage(path: Path, name: str, source_options: SourceOptions) -> OpenFile:
+def _open_stage(path: Path, file_name: str, source_options: SourceOptions) -> OpenFile:
     """Open a USD file with its characters and its other visible prims."""
     from animtool.usd.caches.shown import open_contents
     from animtool.usd.rigs.mesh_read import read_source_meshes
@@ -269,7 +269,7 @@ def _open_stage(path: Path, name: str, source_options: SourceOptions) -> OpenFil
             file, {p: characters[p] for p in selected_skeletons}
         )
     for prim, stream in stream_by_prim.items():
-        label = source_stem(Path(name)) if len(stream_by_prim) == 1 else prim
+        label = source_stem(Path(file_name)) if len(stream_by_prim) == 1 else prim
         stream_y_up = reorient(stream, UpAxis.Y)
         if not prim:
             file.takes.append(

@@ -256,10 +256,10 @@ class PointSlots:
 
 
 def _spread_to_slots(
-    slotted_points: list[tuple[IntArray, FloatArray]], count: int
+    slotted_points: list[tuple[IntArray, FloatArray]], slot_count: int
 ) -> FloatArray:
     """Return positions arranged by slot ``(F, 3 S)``, with NaN in empty slots."""
-    slot_positions = np.full((len(slotted_points), count, 3), np.nan)
+    slot_positions = np.full((len(slotted_points), slot_count, 3), np.nan)
     for frame_positions, (slots, points) in zip(
         slot_positions, slotted_points, strict=True
     ):
@@ -269,17 +269,17 @@ def _spread_to_slots(
 
 def _slot_values(
     slotted_points: list[tuple[IntArray, FloatArray]],
-    values: list[FloatArray],
-    count: int,
+    values_by_frame: list[FloatArray],
+    slot_count: int,
 ) -> FloatArray | None:
     """Return one value per slot, from its last point; None if there are no values."""
     first_values = next(
-        (frame_values for frame_values in values if len(frame_values)), None
+        (frame_values for frame_values in values_by_frame if len(frame_values)), None
     )
     if first_values is None:
         return None
-    slot_values = np.zeros((count, *first_values.shape[1:]))
-    for (slots, _), frame_values in zip(slotted_points, values, strict=True):
+    slot_values = np.zeros((slot_count, *first_values.shape[1:]))
+    for (slots, _), frame_values in zip(slotted_points, values_by_frame, strict=True):
         if len(frame_values) in {1, len(slots)} and len(slots):
             slot_values[slots] = frame_values
     return slot_values

@@ -125,7 +125,7 @@ def _grid_lines(x_axis: _LogAxis, y_axis: _LogAxis, panel: Panel) -> Iterator[st
 
 def _curve_elements(
     curve_index: int,
-    name: str,
+    curve_name: str,
     points: Sequence[PrecisionPoint],
     x_axis: _LogAxis,
     y_axis: _LogAxis,
@@ -150,4 +150,4 @@ def _curve_elements(
     top = TOP_MARGIN + 10 + 16 * curve_index
     left = WIDTH - RIGHT_MARGIN + 14
     yield f'<path class="curve" {style} d="M{left} {top - 4}h22"/>'
-    yield f'<text x="{left + 28}" y="{top}">{html.escape(name)}</text>'
+    yield f'<text x="{left + 28}" y="{top}">{html.escape(curve_name)}</text>'

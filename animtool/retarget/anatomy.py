@@ -168,17 +168,17 @@ def _preset_warning(
     return [warning("MAP113", message, hint)]
 
 
-def joints_of_part(rig: Rig, name: str) -> tuple[str, list[str]]:
+def joints_of_part(rig: Rig, part_name: str) -> tuple[str, list[str]]:
     """Return the part of the body that a name means, and the rig's joints of that part.
 
     Both are empty for a name without a known meaning, or if the rig has no such part.
     A name without a side means both sides.
     """
-    role, roles = _role_of_name(name), []
+    role, roles = _role_of_name(part_name), []
     if role:
         # Many rigs call their hips the pelvis.
         roles = [role, "hips"] if base_role(role) == "pelvis" else [role]
-    elif role := _role_of_name(f"{name}_l"):
+    elif role := _role_of_name(f"{part_name}_l"):
         roles = [f"{base_role(role)}_{side}" for side in SIDES]
         role = base_role(role)
     if not role:
@@ -332,15 +332,15 @@ def _assign_trunk(search: _RoleSearch) -> None:
         _assign_spine(search, spine_start, chest, head)
 
 
-def _assign_spine(search: _RoleSearch, start: int, chest: int, head: int) -> None:
+def _assign_spine(search: _RoleSearch, first_joint: int, chest: int, head: int) -> None:
     """Assign roles to the joints from the leg-trunk fork up to chest and head."""
     body = search.body
     if chest not in body.rig.upwards(head):
-        for j in body.path(start, chest):
+        for j in body.path(first_joint, chest):
             search.set_role(j, "spine")
     search.set_role(head, "head")
     last_joint = head if head >= 0 else chest
-    path = body.path(start, last_joint)
+    path = body.path(first_joint, last_joint)
     neck_indices = [i for i, j in enumerate(path) if "neck" in body.votes[j]]
     after_chest = path.index(chest) + 1 if chest in path else len(path)
     after_chest = neck_indices[0] if neck_indices else after_chest

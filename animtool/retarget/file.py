@@ -161,14 +161,14 @@ def _check_distinct_targets(document: Document, model: MapModel) -> None:
 
 
 def _add_repeated_target(
-    document: Document, model: MapModel, name: str, indices: tuple[int, int]
+    document: Document, model: MapModel, target_name: str, indices: tuple[int, int]
 ) -> None:
     """Record a repeated target, with the joint that was probably meant (MAP002)."""
     entries = [model.joints[i] for i in indices]
     sources = [", ".join(_name_list(entry.source)) for entry in entries]
     targets = {n for entry in model.joints for n in _name_list(entry.target)}
-    message = f"{name!r} appears in two entries as a target"
-    other_name = mirrored_name(name)
+    message = f"{target_name!r} appears in two entries as a target"
+    other_name = mirrored_name(target_name)
     is_wrong_side = [
         other_name not in targets and _entry_side(entry) == name_side(other_name or "")
         for entry in entries

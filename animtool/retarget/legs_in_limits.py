@@ -87,12 +87,14 @@ class _Leg:
         rotations: tuple[FloatArray, FloatArray],
         axis: FloatArray,
         frames: IntArray,
-        angles: FloatArray,
+        swivels: FloatArray,
     ) -> FloatArray:
         """Return the sum of squared limit violations of hip and ankle [rad²]."""
         rig, (thigh, _, foot, _) = self.target.rig, leg_joints(self.target, self.side)
         bone_rotations = rotations[0][frames], rotations[1][frames]
-        thigh_rotation, shin_rotation = swivel_leg(bone_rotations, axis[frames], angles)
+        thigh_rotation, shin_rotation = swivel_leg(
+            bone_rotations, axis[frames], swivels
+        )
         inverse_parent = so3.conjugate(self.tracks.rotations[frames, 0])
         squared_violation = np.zeros(len(frames))
         inverse_shin = so3.conjugate(shin_rotation)

@@ -186,7 +186,7 @@ def presets() -> Mapping[str, Preset]:
     }
 
 
-def _read_preset(name: str, convention: dict[str, Any]) -> Preset:
+def _read_preset(preset_name: str, convention: dict[str, Any]) -> Preset:
     """Return a convention from its entry in the presets file."""
     roles_by_key: dict[str, set[str]] = {}
     names_by_role: dict[str, list[str]] = {}
@@ -201,7 +201,7 @@ def _read_preset(name: str, convention: dict[str, Any]) -> Preset:
         else:
             names_by_role.setdefault(role, []).append(template)
     return Preset(
-        name,
+        preset_name,
         {key: frozenset(roles) for key, roles in roles_by_key.items()},
         {role: tuple(dict.fromkeys(names)) for role, names in names_by_role.items()},
     )

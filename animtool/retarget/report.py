@@ -371,16 +371,16 @@ def _mean_clamped(joint_map: JointMap, clamped_fractions: Mapping[int, float]) -
 
 
 def _drift_in_contacts(
-    points: FloatArray, is_planted: BoolArray, up: int
+    foot_positions: FloatArray, is_planted: BoolArray, up: int
 ) -> FloatArray:
     """Return ground distances from the middle of each contact ``(F,)`` [m].
 
     The distance is NaN while the foot is not planted.
     """
     ground_axes = [k for k in range(3) if k != up]
-    drift = np.full(len(points), math.nan)
+    drift = np.full(len(foot_positions), math.nan)
     for start, end in runs(is_planted):
-        path = points[start:end][:, ground_axes]
+        path = foot_positions[start:end][:, ground_axes]
         drift[start:end] = np.linalg.norm(path - path.mean(axis=0), axis=1)
     return drift
 

@@ -62,7 +62,7 @@ def low_height_factor(
     root_positions: FloatArray,
     body_positions: FloatArray,
     up: FloatArray,
-    size: float,
+    body_size: float,
     interval: float,
 ) -> float | None:
     """Return the unit factor by which a root translation is too small, else None.
@@ -74,7 +74,7 @@ def low_height_factor(
         root_positions: Positions of the root ``(F, 3)`` [m].
         body_positions: Positions of the joints that it carries ``(F, B, 3)`` [m].
         up: Unit up vector ``(3,)``.
-        size: Size of the body [m].
+        body_size: Size of the body [m].
         interval: Time between two frames [s].
     """
     frames = np.arange(1, len(body_positions))
@@ -84,14 +84,14 @@ def low_height_factor(
     for factor in UNIT_FACTORS:
         lift = (factor - 1.0) * root_positions
         heights_above = (lowest_points + lift) @ up
-        is_low = np.abs(heights_above) < ZERO_HEIGHT * size
+        is_low = np.abs(heights_above) < ZERO_HEIGHT * body_size
         if float(is_low.mean()) > MIN_ZERO_FRACTION:
             return 1.0 / factor
         lowest = abs(float(np.percentile(heights_above, 5)))
-        if lowest > MIN_TREAD_FRACTION * size:
+        if lowest > MIN_TREAD_FRACTION * body_size:
             continue
         steps = next_points + lift[1:] - lowest_points[:-1] - lift[:-1]
-        is_slow = np.linalg.norm(steps, axis=1) < TREAD_SPEED * size * interval
+        is_slow = np.linalg.norm(steps, axis=1) < TREAD_SPEED * body_size * interval
         if float(is_slow.mean()) > STATIC_TREAD_FRACTION:
             return 1.0 / factor
     return None

@@ -50,7 +50,7 @@ class SwappedSides:
 
 
 def find_swapped_sides(
-    rig: Rig, positions: FloatArray, size: float, sides: SidePairs | None = None
+    rig: Rig, positions: FloatArray, body_size: float, sides: SidePairs | None = None
 ) -> SwappedSides | None:
     """Return the limbs that are on the other side of a body whose toes point forward.
 
@@ -60,7 +60,7 @@ def find_swapped_sides(
     Args:
         rig: J joints.
         positions: Positions of the joints ``(F, J, 3)`` [m].
-        size: Size of the body [m].
+        body_size: Size of the body [m].
         sides: Pairs of left and right joints; None determines them by name.
     """
     feet = find_feet(rig.names)
@@ -68,20 +68,20 @@ def find_swapped_sides(
     if facing_direction is None:
         return None
     sides = pair_sides(rig.names, rig.parents) if sides is None else sides
-    legs = _limb_pairs(rig, sides, feet.tolist(), MIN_TOE_LENGTH * size)
+    legs = _limb_pairs(rig, sides, feet.tolist(), MIN_TOE_LENGTH * body_size)
     if not legs:
         return None
     hip_centers = positions[:, legs[0]].mean(axis=1)
     up_directions = hip_centers - positions[:, feet].mean(axis=1)
     left_direction = np.cross(up_directions, facing_direction)
-    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_TOE_LENGTH * size
+    is_used = np.linalg.norm(facing_direction, axis=1) > MIN_TOE_LENGTH * body_size
     # The feet of a crawling or lying body are next to its hips and point anywhere.
     leg_lengths = np.linalg.norm(up_directions, axis=1)
     is_used &= up_directions @ np.array(rig.up.vector) > MIN_UPRIGHT * leg_lengths
     if np.count_nonzero(is_used) < max(1.0, MIN_UPRIGHT_FRACTION * len(is_used)):
         return None
     hands = find_hands(rig.names).tolist()
-    arms = _limb_pairs(rig, sides, hands, MIN_TOE_LENGTH * size)
+    arms = _limb_pairs(rig, sides, hands, MIN_TOE_LENGTH * body_size)
     # Clavicles may be right and the arms below them swapped.
     for left, right in (legs[0], *arms[:2]):
         offsets = positions[:, left] - positions[:, right]

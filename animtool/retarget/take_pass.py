@@ -277,7 +277,7 @@ _DEFAULT_OPTIONS = RetargetOptions()
 
 
 def _pair_joints(
-    source: Rig, target: Rig, options: RetargetOptions, positions: FloatArray
+    source: Rig, target: Rig, options: RetargetOptions, source_positions: FloatArray
 ) -> JointMap:
     """Return the joint map, given standing source joint positions ``(J, 3)``."""
     try:
@@ -288,11 +288,13 @@ def _pair_joints(
             target_preset=options.target_preset,
             map_file=options.map,
             mode=options.by,
-            source_positions=positions,
+            source_positions=source_positions,
         )
     except OptionError as error:
         if error.code == "MAP004":
-            anatomy = find_anatomy(source, preset=options.preset, positions=positions)
+            anatomy = find_anatomy(
+                source, preset=options.preset, positions=source_positions
+            )
             limbs = _complete_limbs(anatomy.roles)
             if limbs:  # else it is a prop
                 message = f"no joint of {source.name!r} maps to one of "
@@ -307,7 +309,7 @@ def _unused_option_warnings(
     source: Rig,
     target: Rig,
     options: RetargetOptions,
-    positions: FloatArray,
+    source_positions: FloatArray,
     joint_map: JointMap,
 ) -> list[Fault]:
     """Return a warning if options of pairing change nothing beside a map (MAP111)."""
@@ -320,7 +322,7 @@ def _unused_option_warnings(
     for name in ("by", "preset", "target_preset"):
         if getattr(options, name) != getattr(_DEFAULT_OPTIONS, name):
             other_options = replace(options, **{name: getattr(_DEFAULT_OPTIONS, name)})
-            other_map = _pair_joints(source, target, other_options, positions)
+            other_map = _pair_joints(source, target, other_options, source_positions)
             if all(
                 getattr(joint_map, part) == getattr(other_map, part)
                 for part in ("pairs", "chains", "twists")

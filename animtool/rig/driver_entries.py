@@ -155,16 +155,18 @@ class DriverCheck:
         return INHERITED_LOCATION
 
 
-def _motion_conflicts(rig: Rig, order: list[str]) -> Iterator[tuple[str, str, str]]:
+def _motion_conflicts(
+    rig: Rig, driven_targets: list[str]
+) -> Iterator[tuple[str, str, str]]:
     """Yield each driven target that another source moves too, with message and hint.
 
-    ``order``: all driven targets.
+    ``driven_targets`` are all targets of the rig that have a driver.
     """
     for joint in rig.joints:
         if joint.driven is not None and joint.mimic is not None:
             message = f"{joint.name!r} has both a driver and a mimic"
             yield f"joint/{joint.name}", message, "the expr may read the other joint"
-    driven_controls = {target.removeprefix("control/") for target in order}
+    driven_controls = {target.removeprefix("control/") for target in driven_targets}
     for control in rig.controls:
         for drive in control.drives:
             target = drive.target

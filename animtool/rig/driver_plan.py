@@ -49,21 +49,25 @@ def readable_parts(joint: Joint) -> list[str]:
     return [*twist_parts, SWING, *swing_parts]
 
 
-def coordinate_fault(rig: Rig, name: str) -> Fault | None:
+def coordinate_fault(rig: Rig, coordinate_name: str) -> Fault | None:
     """Return a fault if drivers cannot read an input, else None."""
-    joint_name, part = split_coordinate(name)
+    joint_name, part = split_coordinate(coordinate_name)
     if not joint_name:
         control_names = [control.name for control in rig.controls]
-        if name in control_names:
+        if coordinate_name in control_names:
             return None
-        message = f"unknown control {name!r}"
-        hint = _suggestion_hint(name, control_names)
-        if name in rig.names:
-            allowed_parts = readable_parts(rig.joints[rig.index(name)])
-            message = f"{name!r} is a joint: write which coordinate"
-            hint = f"write {name}.{allowed_parts[0]}" if allowed_parts else None
-        elif any(shape.name == name for shape in rig.shapes):
-            message = f"{name!r} is a shape: drivers read only joints and controls"
+        message = f"unknown control {coordinate_name!r}"
+        hint = _suggestion_hint(coordinate_name, control_names)
+        if coordinate_name in rig.names:
+            allowed_parts = readable_parts(rig.joints[rig.index(coordinate_name)])
+            message = f"{coordinate_name!r} is a joint: write which coordinate"
+            hint = (
+                f"write {coordinate_name}.{allowed_parts[0]}" if allowed_parts else None
+            )
+        elif any(shape.name == coordinate_name for shape in rig.shapes):
+            message = (
+                f"{coordinate_name!r} is a shape: drivers read only joints and controls"
+            )
             hint = "read the input of the shape's driver instead"
         return Fault("RIG012", message, hint=hint)
     if joint_name not in rig.names:
@@ -289,17 +293,19 @@ def plan_of(rig: Rig) -> DriverPlan:
     return plan
 
 
-def _targets_of_keyed_controls(rig: Rig, order: Sequence[str]) -> frozenset[str]:
+def _targets_of_keyed_controls(
+    rig: Rig, driven_targets: Sequence[str]
+) -> frozenset[str]:
     """Return the driven targets that depend on controls without drivers.
 
     Joint coordinates that these drivers read count as known.
     """
     driven_controls = {
-        t.removeprefix("control/") for t in order if t.startswith("control/")
+        t.removeprefix("control/") for t in driven_targets if t.startswith("control/")
     }
     keyed_controls = {control.name for control in rig.controls} - driven_controls
     dependent_targets: set[str] = set()
-    for target in order:
+    for target in driven_targets:
         if keyed_controls.intersection(_names_read(rig, target)):
             dependent_targets.add(target)
             if target.startswith("control/"):

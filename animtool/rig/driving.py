@@ -84,7 +84,10 @@ def evaluate_drivers(
 
 
 def _evaluate_joint_driver(
-    plan: DriverPlan, j: int, inputs: Mapping[str, FloatArray], result: DriverValues
+    plan: DriverPlan,
+    j: int,
+    inputs: Mapping[str, FloatArray],
+    driver_values: DriverValues,
 ) -> None:
     """Add the value of a joint's driver or mimic to the result, within its limits."""
     joints = plan.rig.joints
@@ -97,8 +100,10 @@ def _evaluate_joint_driver(
         value = driver.evaluate(inputs)
     limits = joints[j].limits
     clamped_value = limits.clamped(value) if isinstance(limits, RangeLimit) else value
-    result.joints[j] = np.where(np.isfinite(value), clamped_value, value)
-    result.excess[j] = value - result.joints[j] if np.isfinite(value).all() else value
+    driver_values.joints[j] = np.where(np.isfinite(value), clamped_value, value)
+    driver_values.excess[j] = (
+        value - driver_values.joints[j] if np.isfinite(value).all() else value
+    )
 
 
 class _DriverInputs(dict[str, FloatArray]):

@@ -70,14 +70,20 @@ def read_bind_poses(
 
 
 def _read_pose(
-    document: Document, name: str, model: PoseModel, rest_joint: Joint, units: FileUnits
+    document: Document,
+    joint_name: str,
+    model: PoseModel,
+    rest_joint: Joint,
+    units: FileUnits,
 ) -> Pose:
     """Return a bind pose; values that the file omits are taken from the rest pose."""
     translation, rotation = rest_joint.translation, rest_joint.rotation
     if model.translate is not None:
         translation = scale_vector(model.translate, units.length)
     if model.rotate is not None:
-        rotation = unit_quaternion(document, ("bind", name, "rotate"), model.rotate)
+        rotation = unit_quaternion(
+            document, ("bind", joint_name, "rotate"), model.rotate
+        )
     stretch = None if model.stretch is None else tuple(model.stretch)
     return Pose(translation, rotation, stretch)
 
@@ -274,17 +280,19 @@ def _merge_shapes(
 
 def _load_base(
     document: Document,
-    name: str,
+    base_reference: str,
     reference_roots: tuple[Path, ...],
     parents: tuple[Path, ...],
 ) -> Rig | None:
     """Load the base rig of a sidecar."""
-    base_path = resolve_reference(document, ("from",), name, reference_roots)
+    base_path = resolve_reference(document, ("from",), base_reference, reference_roots)
     if base_path is None:
         return None
     parents = (*parents, document.path.resolve())
     if base_path in parents:
-        document.add("RIG030", ("from",), f"{name!r} refers back to this file")
+        document.add(
+            "RIG030", ("from",), f"{base_reference!r} refers back to this file"
+        )
         return None
     if len(parents) >= MAX_SIDECAR_DEPTH:
         message = f"more than {MAX_SIDECAR_DEPTH} files refer to each other in a chain"

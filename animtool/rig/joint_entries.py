@@ -442,17 +442,17 @@ def _check_mimic_chains(
 
 
 def unit_quaternion(
-    document: Document, location: Location, values: list[float]
+    document: Document, location: Location, wxyz: list[float]
 ) -> tuple[float, float, float, float]:
     """Convert a file's [w, x, y, z] to a unit quaternion (x, y, z, w)."""
-    w, x, y, z = values
-    length = math.hypot(*values)
+    w, x, y, z = wxyz
+    length = math.hypot(*wxyz)
     if abs(length - 1.0) <= UNIT_TOLERANCE:
         return (x, y, z, w)
     if not MIN_VECTOR_LENGTH < length < 1 / MIN_VECTOR_LENGTH:
-        document.add("RIG006", location, f"quaternion {values} is not a rotation")
+        document.add("RIG006", location, f"quaternion {wxyz} is not a rotation")
         return (0.0, 0.0, 0.0, 1.0)
-    warn_of_quaternion_length(document, location, values)
+    warn_of_quaternion_length(document, location, wxyz)
     a, b, c, d = so3.normalize([x, y, z, w]).tolist()
     return (a, b, c, d)
 

@@ -397,17 +397,19 @@ class PartReader:
             is_smooth = False
         return Drive(target, None, points, unit, is_smooth)
 
-    def _read_expression(self, location: Location, text: str) -> Expression | None:
+    def _read_expression(
+        self, location: Location, expression_text: str
+    ) -> Expression | None:
         """Return an expression over controls, or None after recording a fault."""
         try:
-            expression = parse_expression(text)
+            expression = parse_expression(expression_text)
         except ValueError as error:
-            if not self._reads_misnamed_control(text):
+            if not self._reads_misnamed_control(expression_text):
                 self.document.add("RIG013", location, str(error))
             return None
         if self.control_names.keys() >= set(
             expression.names
-        ) or not self._reads_misnamed_control(text):
+        ) or not self._reads_misnamed_control(expression_text):
             for name in expression.names:
                 self._check_known(location, name, self.control_names, "control")
         return expression
@@ -449,28 +451,32 @@ class PartReader:
         unit = self.units.length if is_length else self.units.angle
         return f"joint/{name}", unit
 
-    def _part_fault(self, name: str) -> tuple[str, str]:
+    def _part_fault(self, target_name: str) -> tuple[str, str]:
         """Return message and hint for a drive whose target lacks a valid joint part."""
-        joint, _, part = name.rpartition(".")
-        if name in self.joint_by_name:
-            joint, message = name, f"missing part of joint {name!r}"
+        joint, _, part = target_name.rpartition(".")
+        if target_name in self.joint_by_name:
+            joint, message = target_name, f"missing part of joint {target_name!r}"
         elif joint in self.joint_by_name:
             message = f"unknown part {part!r} of joint {joint!r}"
         else:
-            return f"missing part of joint {name!r}", part_hint(name, DRIVEN_PARTS)
+            return f"missing part of joint {target_name!r}", part_hint(
+                target_name, DRIVEN_PARTS
+            )
         has_type = joint not in self.file_joints.untyped_joints
         joint_type = self.joint_by_name[joint].type if has_type else None
-        return message, part_hint(name, DRIVEN_PARTS, joint_type)
+        return message, part_hint(target_name, DRIVEN_PARTS, joint_type)
 
-    def _check_distinct(self, key: str, kind: str) -> None:
+    def _check_distinct(self, section_key: str, kind: str) -> None:
         """Record a fault for each entry that has the name of an earlier entry."""
         first_index_by_name: dict[str, int] = {}
-        for i, entry in enumerate(getattr(self.model, key)):
+        for i, entry in enumerate(getattr(self.model, section_key)):
             if entry.name in first_index_by_name:
-                line = self.document.position((key, first_index_by_name[entry.name]))[0]
+                line = self.document.position(
+                    (section_key, first_index_by_name[entry.name])
+                )[0]
                 message = f"duplicate {kind} {entry.name!r}"
                 hint = f"the first is on line {line}"
-                self.document.add("RIG011", (key, i, "name"), message, hint)
+                self.document.add("RIG011", (section_key, i, "name"), message, hint)
             first_index_by_name.setdefault(entry.name, i)
 
     def check_joint(self, location: Location, name: str) -> bool:

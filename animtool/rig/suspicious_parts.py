@@ -129,21 +129,25 @@ def _expressions(document: Document, rig: Rig) -> Iterator[tuple[Location, Expre
                 yield (key, i, "driven", "expr"), driver.expression
 
 
-def _degrees_reason(rig: Rig, name: str) -> str | None:
+def _degrees_reason(rig: Rig, input_name: str) -> str | None:
     """Return why an input is likely in degrees; None if it is not."""
-    joint, part = split_coordinate(name)
+    joint, part = split_coordinate(input_name)
     if joint:
         is_in_degrees = rig.radians_per_unit != 1.0 and part != SLIDE
-        return f"{name!r} is in degrees, the unit of the rig" if is_in_degrees else None
+        return (
+            f"{input_name!r} is in degrees, the unit of the rig"
+            if is_in_degrees
+            else None
+        )
     for control in rig.controls:
-        if control.name != name or control.low is None or control.high is None:
+        if control.name != input_name or control.low is None or control.high is None:
             continue
         low, high = control.low, control.high
         if low == -high and high > math.pi:
-            return f"the range of {name!r} is ±{high:g}, as in degrees"
+            return f"the range of {input_name!r} is ±{high:g}, as in degrees"
         is_round = all(math.fmod(end, _DEGREE_STEP) == 0 for end in (low, high))
         if is_round and high > low and math.fmod(high - low, _QUARTER_REVOLUTION) == 0:
-            return f"the range of {name!r} is {low:g} to {high:g}, as in degrees"
+            return f"the range of {input_name!r} is {low:g} to {high:g}, as in degrees"
     return None
 
 

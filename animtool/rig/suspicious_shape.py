@@ -73,18 +73,20 @@ def warn_of_shape(document: Document, rig: Rig) -> None:
     _warn_of_equal_sides(document, rig, rest_positions)
 
 
-def _warn_of_size(document: Document, rig: Rig, size: float) -> None:
+def _warn_of_size(document: Document, rig: Rig, rig_size: float) -> None:
     """Warn of a size that fits another unit better (RIG217)."""
     if any(notice.code == "RIG217" for notice in rig.notices):
         return
     unit = rig.meters_per_unit
     is_body = any(map(HINGE_NAMES.search, rig.names))
     min_size = MIN_BODY_SIZE if is_body else (MIN_SIZE if unit == 1.0 else unit)
-    if not size or min_size <= size <= MAX_RIG_SIZE:
+    if not rig_size or min_size <= rig_size <= MAX_RIG_SIZE:
         return
     location = ("units", "length") if "units" in document.value else ("joints",)
-    message = f"the rig measures {length_text(size)}, with lengths in {unit_name(unit)}"
-    hint = fitting_unit_hint(size, unit, is_body=is_body)
+    message = (
+        f"the rig measures {length_text(rig_size)}, with lengths in {unit_name(unit)}"
+    )
+    hint = fitting_unit_hint(rig_size, unit, is_body=is_body)
     document.warn("RIG217", location, message, hint)
 
 

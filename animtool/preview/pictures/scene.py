@@ -262,7 +262,7 @@ class SceneRenderer:
         eye: EyeMatrices,
         view: CameraView,
         poses: list[PosedTake],
-        target: Any,
+        framebuffer: Any,
         *,
         has_shadow: bool,
         shot: int | None,
@@ -270,7 +270,7 @@ class SceneRenderer:
         """Draw all layers, starting with the ground."""
         far_eye = eye.with_depth_range(0.1, 1.0)
         self._draw_objects(far_eye, self._drawables())
-        target.depth_mask = False
+        framebuffer.depth_mask = False
         with self._device.blending():
             if has_shadow:
                 self._shadow.draw(far_eye)
@@ -280,7 +280,7 @@ class SceneRenderer:
             self._trails.draw(far_eye)
             if "cameras" in self._shown_layers:
                 self._draw_frusta(far_eye, view, shot)
-        target.depth_mask = True
+        framebuffer.depth_mask = True
         shows_axes = "axes" in self._shown_layers
         if not self._has_surfaces:
             self._draw_bones(far_eye, poses, shows_axes=shows_axes)

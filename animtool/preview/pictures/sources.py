@@ -22,7 +22,7 @@ SHADER_HEADER = (
 )
 
 
-def shader_source(module: str, name: str) -> str:
+def shader_source(module: str, constant_name: str) -> str:
     """Return the source of a shader of the viewer.
 
     >>> shader_source("bones.js", "THIN_FRAGMENT").startswith("in vec3 tint;")
@@ -31,7 +31,7 @@ def shader_source(module: str, name: str) -> str:
     shared_constants = _shader_constants(SHARED_MODULE)
     shader_by_name = _shader_constants(module)
     return _NAME_PATTERN.sub(
-        lambda match: shared_constants[match[1]], shader_by_name[name]
+        lambda match: shared_constants[match[1]], shader_by_name[constant_name]
     )
 
 

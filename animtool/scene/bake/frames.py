@@ -333,7 +333,9 @@ def _with_rest(plan: TakePlan, sampler: TakeSampler, frame: int) -> Rig:
         times = plan_samples(take.clock, plan.fps, plan.start, frame_range=frames)
     except OptionError as error:
         last = plan.start + Fraction(take.clock.count - 1) * plan.fps / take.clock.rate
-        fault = missing_frames_fault(frames, plan.start, last, name="rest_frame")
+        fault = missing_frames_fault(
+            frames, plan.start, last, argument_name="rest_frame"
+        )
         raise OptionError(replace(fault, path=str(plan.source))) from error
     ((_, pose),) = sample_blocks(sampler, times)
     translations, rotations = (values[0].tolist() for values in pose.dense()[:2])
