@@ -128,15 +128,15 @@ _SOURCE_OPTIONS = (
 _DECLARED_ELSEWHERE = {"strict", "overwrite", "take"}
 
 
-_ALL_OPTIONS = [
-    entry
-    for entry in dict.fromkeys((*_OPTION_ORDER, *options_of(BakeOptions)))
-    if entry not in _DECLARED_ELSEWHERE
-]
-# All options of `BakeOptions`, and those that describe the source.
-bake_options = stack_options(
-    *(bake_option(e) if isinstance(e, str) else e for e in _ALL_OPTIONS)
-)
+def bake_options(command: Command) -> Command:
+    """Add all options of `BakeOptions` to a command, and those of the source."""
+    entries = dict.fromkeys((*_OPTION_ORDER, *options_of(BakeOptions)))
+    decorators = [
+        bake_option(entry) if isinstance(entry, str) else entry
+        for entry in entries
+        if entry not in _DECLARED_ELSEWHERE
+    ]
+    return stack_options(*decorators)(command)
 
 
 def read_bake_options(params: Mapping[str, Any]) -> BakeOptions:

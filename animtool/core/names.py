@@ -58,6 +58,12 @@ def has_kind_suffix(path: Path, kind: str) -> bool:
     return path.name.lower().endswith(kind_suffixes(kind))
 
 
+def kind_of_name(path: Path, default: str = "rig") -> str:
+    """Return the kind in a file name, such as ``targets`` of ``hero.targets.yaml``."""
+    kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in FILE_KINDS]
+    return kinds[-1] if kinds else default
+
+
 def is_variable_name(text: str) -> bool:
     """Return whether a text can name a variable: it fully matches `VARIABLE_NAME`.
 

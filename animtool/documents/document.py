@@ -12,7 +12,7 @@ from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, first_faults
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input, require_file
 from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, expects_format
-from animtool.core.names import FILE_KINDS
+from animtool.core.names import kind_of_name
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED_FAULTS
 from animtool.documents.yaml_values import SourceMarks, read_values
@@ -356,12 +356,6 @@ def _typographic_quote_warnings(document: Document) -> Iterator[Fault]:
         warning = Severity.WARNING
         yield Fault("DOC103", message, *path_and_lines, hint, warning, column=column)
         return
-
-
-def kind_of_name(path: Path, default: str = "rig") -> str:
-    """Return the kind in a file name, such as ``targets`` of ``hero.targets.yaml``."""
-    kinds = [suffix[1:] for suffix in path.suffixes if suffix[1:] in FILE_KINDS]
-    return kinds[-1] if kinds else default
 
 
 def read_text(path: Path) -> str:

@@ -6,6 +6,7 @@ import os
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from animtool.core.arguments import flag
 from animtool.core.config import outside_hint, project_roots
@@ -18,7 +19,9 @@ from animtool.core.files.reading import (
     unexpanded_hint,
     url_hint,
 )
-from animtool.documents.document import Document, Location
+
+if TYPE_CHECKING:
+    from animtool.documents.document import Document, Location
 
 
 def split_reference(text: str, default_key: str) -> tuple[str, str]:

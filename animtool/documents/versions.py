@@ -6,13 +6,15 @@ import re
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from animtool.core.arguments import flag
 from animtool.core.errors import Fault, FormatError, OptionError, excerpt
 from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, format_mismatch
-from animtool.core.names import FILE_KINDS
-from animtool.documents.document import Document, Location, kind_of_name
+from animtool.core.names import FILE_KINDS, kind_of_name
+
+if TYPE_CHECKING:
+    from animtool.documents.document import Document, Location
 
 # A step converts a file's values to the next version.
 MigrationStep = Callable[[dict[str, Any]], dict[str, Any]]

@@ -188,7 +188,7 @@ def _solve_take(
     """Solve a take for targets that fade from and to the given takes."""
     goals = [track.goal for track in tracks.goals]
     typed_rig = with_ball_joints(take.rig)
-    rig, joint_indices = sub_rig(typed_rig, (goal.joint for goal in goals))
+    rig, joint_indices = sub_rig(typed_rig, [goal.joint for goal in goals])
     movable_names = _movable_joint_names(take.rig, rig, options)
     local = LocalTransforms(
         take.motion.translations.gather(joint_indices),

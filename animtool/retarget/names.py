@@ -7,7 +7,7 @@ import unicodedata
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from typing import Any
 
 import yaml
@@ -28,7 +28,7 @@ from animtool.retarget.roles import (
 )
 from animtool.rig.sides import SIDE_WORDS, pair_sides
 
-_PRESETS_FILE = resources.files("animtool.retarget") / "presets.yaml"
+_PRESETS_FILE = Path(__file__).with_name("presets.yaml")
 # Namespaces, and prefixes that exporters put before every name.
 _NAMESPACE = re.compile(r"^.*[:|/]")
 _PREFIX = re.compile(

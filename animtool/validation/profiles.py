@@ -12,7 +12,6 @@ from animtool.core.files.reading import MAX_TEXT_BYTES, read_input
 from animtool.core.names import name_hint
 from animtool.core.record import dataclass
 from animtool.core.rules import all_rules, current_codes
-from animtool.documents.document import read_document
 
 # Severity by code or prefix; None disables a code.
 Levels = Mapping[str, Severity | None]
@@ -114,6 +113,8 @@ def load_profile(name: str, folder: Path | None = None) -> Levels:
 
 
 def _read_document(path: Path) -> Mapping[str, Any]:
+    from animtool.documents.document import read_document
+
     try:
         return dict(read_document(path).value)
     except FormatError as error:

@@ -31,12 +31,12 @@ from animtool.core.readers import (
     reader_of,
 )
 from animtool.core.rules import Kind
-from animtool.documents.document import Document, read_document
 from animtool.documents.versions import MIGRATION_STEPS, kind_and_version
 from animtool.rig.skeleton import Rig
 from animtool.validation.subjects.subject import CheckedFile
 
 if TYPE_CHECKING:
+    from animtool.documents.document import Document
     from animtool.documents.variables import SceneValues
 
 
@@ -182,6 +182,8 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     """
     reader = reader_of(path)
     if reader is DOCUMENT:
+        from animtool.documents.document import read_document
+
         document = read_document(path)
         if has_kind_suffix(path, "cameras") and not isinstance(
             document.value.get("cameras", ""), str

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 from animtool.core.errors import Fault
 from animtool.core.record import dataclass
 from animtool.core.rules import Kind
-from animtool.documents.document import Document, Location
 
 if TYPE_CHECKING:
+    from animtool.documents.document import Document, Location
     from animtool.validation.motion.subject import MotionSubject
 
 
