@@ -44,6 +44,7 @@ SUSPECT_SOURCES = {
     "MOT213": "the unit of the take",
     "MOT214": "the up axis of the take",
     "TAKE012": "the rate of the take",
+    "TAKE013": "the rows of zeros in the take",
 }
 
 
