@@ -40,7 +40,7 @@ class ZeroRows:
 
     def add(self, rows: FloatArray, lines: IntArray) -> None:
         """Add rows ``(F, C)``, with their line numbers ``(F,)``."""
-        is_zero = ~rows.any(axis=1)
+        is_zero = np.logical_not(rows.any(axis=1))
         for start, end in runs(is_zero):
             first, last = self._row_count + start, self._row_count + end - 1
             if self._runs and self._runs[-1].last == first - 1:
