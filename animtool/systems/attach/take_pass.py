@@ -19,7 +19,7 @@ from animtool.core.errors import (
     percent_text,
     warning,
 )
-from animtool.core.quantities import plain_number
+from animtool.core.quantities import length_text, plain_number
 from animtool.motion.motion import Motion
 from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import TakeStream
@@ -32,6 +32,7 @@ from animtool.systems.attach.bodies import (
     build_bodies,
     surface_defects,
 )
+from animtool.systems.attach.poses import CycleGap
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,
@@ -118,6 +119,10 @@ def attachment_report(actor: AttachmentActor) -> dict[str, object]:
 def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
     """Return all notices of a finished simulation."""
     notices = [_summary_notice(actor) for actor in simulation.actors]
+    if simulation.cycle_gap is not None:
+        # Contacts and strains result from the jump of the character.
+        notices.append(_no_cycle_warning(simulation.cycle_gap))
+        return notices + named_frame_notices(simulation)
     for actor in simulation.actors:
         name = actor.body.name
         notices += _start_notices(actor) + _contact_warnings(actor)
@@ -201,6 +206,21 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
         hint = "closing colliders leave them no way out"
         warnings.append(warning("SIM132", message, hint))
     return warnings
+
+
+def _no_cycle_warning(gap: CycleGap) -> Fault:
+    """Return a warning about a character that jumps at the seam (SIM133)."""
+    steps = [length_text(gap.step), length_text(gap.typical_step)]
+    if gap.is_rotation:
+        steps = [f"{gap.step:.3g}°", f"{gap.typical_step:.3g}°"]
+    message = (
+        f"the take is no cycle: its last frame is {length_text(gap.distance)} and "
+    )
+    message += f"{gap.angle:.3g}° from its first, and joint {gap.joint!r} jumps by "
+    message += f"{steps[0]} at the seam, apart from the travel of the cycle, and by "
+    message += f"{steps[1]} at most elsewhere"
+    hint = "make it a cycle with the pass `loop` before this one, or set loop: false"
+    return warning("SIM133", message, hint, "loop")
 
 
 def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
