@@ -38,6 +38,7 @@ if TYPE_CHECKING:
 SUSPECT_SOURCES = {
     "BVH115": "the root channels of the take",
     "BVH116": "an offset of the take",
+    "MAP010": "the map",
     "MAP115": "the map",
     "MOT209": "the height of the take",
     "MOT210": "left and right of the take",
