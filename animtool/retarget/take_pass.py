@@ -252,14 +252,11 @@ def retarget_stream(
     )
     retargeting.rest_frame, retargeting.ground_check = frame, ground_check
     fault = zero_length_fault(source, joint_map, retargeting.max_bone_lengths)
-    if fault is None:
-        few_pairs_fault = insufficient_pairs_fault(
-            source, joint_map, transfer.source_joints, retargeting.moving_joints
-        )
-        if options.map is None:
-            fault = few_pairs_fault
-        elif few_pairs_fault is not None:
-            notices += _few_entries_warning(few_pairs_fault, options)
+    few_pairs_fault = insufficient_pairs_fault(
+        source, joint_map, transfer.source_joints, retargeting.moving_joints
+    )
+    notices += _few_entries_warning(few_pairs_fault, options)
+    fault = fault or (few_pairs_fault if options.map is None else None)
     if fault is not None and not options.force_fit and not plants_similar_legs:
         raise FormatError(fault)
     retargeting.ignored_errors = [] if fault is None else [fault]
@@ -274,12 +271,12 @@ def retarget_stream(
 _DEFAULTS = RetargetOptions()
 
 
-def _few_entries_warning(fault: Fault, options: RetargetOptions) -> list[Fault]:
+def _few_entries_warning(fault: Fault | None, options: RetargetOptions) -> list[Fault]:
     """Return a warning about a map with few pairs, unless it keeps the others at rest.
 
     ``fault`` tells how many joints are paired.
     """
-    if options.map is None or options.force_fit:
+    if fault is None or options.map is None or options.force_fit:
         return []
     file = load_map(options.map)
     if "others" in file.model.model_fields_set and file.model.others == "none":
