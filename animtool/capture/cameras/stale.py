@@ -232,8 +232,8 @@ def fit_pose_change(
 ) -> PoseChange | None:
     """Return the pose change that fits a camera's pixels best; None if none fits.
 
-    World positions ``(F, M, 3)`` [m] and pixels ``(F, M, 2)`` are NaN where missing. The
-    pixels may belong to one of the other cameras instead.
+    World positions ``(F, M, 3)`` [m] and pixels ``(F, M, 2)`` are NaN where missing.
+    The pixels may belong to one of the other cameras instead.
     """
     is_valid = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[is_valid], pixels[is_valid]

@@ -23,6 +23,10 @@ from animtool.core.quantities import length_text, plain_number
 from animtool.motion.motion import Motion
 from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import TakeStream
+from animtool.rig.kinematics import rest_size
+from animtool.rig.mesh_sizes import MIN_SKELETON_JOINTS, mesh_size_texts
+from animtool.rig.parts import AttachKind
+from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import AttachmentActor
 from animtool.systems.attach.bodies import (
@@ -119,12 +123,15 @@ def attachment_report(actor: AttachmentActor) -> dict[str, object]:
 def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
     """Return all notices of a finished simulation."""
     notices = [_summary_notice(actor) for actor in simulation.actors]
+    oversized_body, _ = _oversized_body(simulation.rig, simulation.bodies)
     if simulation.cycle_gap is not None:
         # Contacts and strains result from the jump of the character.
         notices.append(_no_cycle_warning(simulation.cycle_gap))
         return notices + named_frame_notices(simulation)
     for actor in simulation.actors:
         name = actor.body.name
+        if actor.body is oversized_body:
+            continue  # strain and contacts result from its size
         notices += _start_notices(actor) + _contact_warnings(actor)
         if isinstance(actor.body, ChainBody) and actor.body.has_free_tip:
             notices += _last_joint_notices(simulation, actor.body)
@@ -208,6 +215,25 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
     return warnings
 
 
+def _oversized_body(
+    rig: Rig, bodies: Sequence[AttachedBody]
+) -> tuple[AttachedBody | None, list[Fault]]:
+    """Return the cloth that is in another unit than the rig, and a warning (RIG218)."""
+    cloth = [body for body in bodies if body.kind == AttachKind.CLOTH]
+    sizes = {
+        body.name: float(np.linalg.norm(np.ptp(body.network.points, axis=0)))
+        for body in cloth
+    }
+    rig_size = rest_size(rig)
+    texts = mesh_size_texts(sizes, rig_size)
+    # A ribbon may be small.
+    is_small = max(sizes.values(), default=0.0) < rig_size
+    if texts is None or is_small or len(rig.joints) < MIN_SKELETON_JOINTS:
+        return None, []
+    (body,) = [body for body in cloth if body.name == texts[0]]
+    return body, [warning("RIG218", *texts[1:])]
+
+
 def _no_cycle_warning(gap: CycleGap) -> Fault:
     """Return a warning about a character that jumps at the seam (SIM133)."""
     steps = [length_text(gap.step), length_text(gap.typical_step)]
@@ -274,6 +300,7 @@ def simulate(
         context.progress,
         world,
     )
+    stream.notices.extend(_oversized_body(stream.rig, bodies)[1])
     point_names = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
         stream,
