@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,11 +22,22 @@ from animtool.cli.options import (
     strict_option,
 )
 from animtool.cli.outputs import atomic_command, skip_existing_outputs, writing_options
+from animtool.core.errors import Fault, OptionError
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.report.text import Table, Template
 
 if TYPE_CHECKING:
     from animtool.capture.cameras.report import CameraReport
+
+
+def _refuse_exchanged_inputs(observations: Path, calibrations: Sequence[Path]) -> None:
+    """Raise if a calibration is an npz file, and OBSERVATIONS is none (IO002)."""
+    arrays = [path for path in calibrations if path.suffix.lower() == ".npz"]
+    if arrays and observations.is_file() and observations.suffix.lower() != ".npz":
+        message = "--cameras takes a calibration, and this is an npz file of arrays"
+        hint = "OBSERVATIONS and --cameras are exchanged: "
+        hint += f"animtool mocap triangulate {arrays[0]} --cameras {observations}"
+        raise OptionError(Fault("IO002", message, str(arrays[0]), hint=hint))
 
 
 @command(
@@ -83,6 +95,7 @@ def triangulate(
     from animtool.formats.marker_files import write_markers
 
     marker_writer(output)
+    _refuse_exchanged_inputs(observations, calibrations)
     inputs = [observations, *calibrations]
     check_outputs([output], inputs, overwrite=params["overwrite"])
     options = TriangulateOptions(**read_values(TriangulateOptions, params))

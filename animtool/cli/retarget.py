@@ -47,6 +47,8 @@ NEGLIGIBLE_ERROR = 1e-9
 
 def _verdict_text(verdict: Verdict) -> str:
     """Format a verdict: what to check and in which frames."""
+    from animtool.retarget.verdict import TakeStatus
+
     reasons = []
     for reason in verdict.reasons:
         text = f"{reason.what} {reason.text}".rstrip()
@@ -56,7 +58,9 @@ def _verdict_text(verdict: Verdict) -> str:
         reasons.append(text)
     if not reasons:
         return str(verdict.status)
-    return f"{verdict.status}: {'; '.join(reasons)}"
+    has_frames = any(reason.frames for reason in verdict.reasons)
+    is_general = verdict.status is TakeStatus.LOOK and not has_frames
+    return f"{'check' if is_general else verdict.status}: {'; '.join(reasons)}"
 
 
 def _length_text(meters: float) -> str:

@@ -11,7 +11,12 @@ from typing import Any
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, FormatError, Severity, excerpt, first_faults
 from animtool.core.files.reading import MAX_TEXT_BYTES, open_input, require_file
-from animtool.core.files.signatures import DOCUMENT_DESCRIPTION, expects_format
+from animtool.core.files.signatures import (
+    DOCUMENT_DESCRIPTION,
+    HEAD_BYTES,
+    expects_format,
+    signature_of,
+)
 from animtool.core.names import kind_of_name
 from animtool.core.record import dataclass
 from animtool.documents.yaml_values import MAX_FAULTS as MAX_COLLECTED_FAULTS
@@ -372,7 +377,16 @@ def read_text(path: Path) -> str:
         line = data.count(b"\n", 0, error.start) + 1
         message = f"byte {data[error.start]:#04x} is not UTF-8"
         hint = "is it a text file? if so, save it as UTF-8"
-        raise FormatError(Fault("DOC008", message, str(path), (line,), hint)) from error
+        lines: tuple[int, ...] = (line,)
+        signature = signature_of(data[:HEAD_BYTES])
+        if data.startswith((b"\xff\xfe", b"\xfe\xff")):
+            message = "the file is UTF-16, as PowerShell's > writes it"
+            hint = "save it as UTF-8"
+        elif signature is not None or b"\0" in data[:HEAD_BYTES]:
+            kind = "binary" if signature is None else signature.format_name
+            message, lines = f"is {kind}, not text", ()
+            hint = "is it in the place of another input?"
+        raise FormatError(Fault("DOC008", message, str(path), lines, hint)) from error
 
 
 def _merge_unknown_keys(faults: Sequence[Fault]) -> list[Fault]:

@@ -258,10 +258,11 @@ def retarget_stream(
     )
     retargeting.rest_frame, retargeting.ground_check = frame, ground_check
     fault = zero_length_fault(source, joint_map, retargeting.max_bone_lengths)
-    if fault is None and options.map is None:
-        fault = insufficient_pairs_fault(
-            source, joint_map, transfer.source_joints, retargeting.moving_joints
-        )
+    few_pairs_fault = insufficient_pairs_fault(
+        source, joint_map, transfer.source_joints, retargeting.moving_joints
+    )
+    notices += _few_entries_warning(few_pairs_fault, options)
+    fault = fault or (few_pairs_fault if options.map is None else None)
     if fault is not None and not options.force_fit and not plants_similar_legs:
         raise FormatError(fault)
     retargeting.ignored_errors = [] if fault is None else [fault]
@@ -274,6 +275,33 @@ def retarget_stream(
 
 
 _DEFAULT_OPTIONS = RetargetOptions()
+
+
+def _few_entries_warning(fault: Fault | None, options: RetargetOptions) -> list[Fault]:
+    """Return a warning about a map with few pairs, unless it keeps the others at rest.
+
+    ``fault`` tells how many joints are paired.
+    """
+    if fault is None or options.map is None or options.force_fit:
+        return []
+    file = load_map(options.map)
+    if "others" in file.model.model_fields_set and file.model.others == "none":
+        return []
+    message, hint = f"{fault.message}: all others stay at rest", "add entries"
+    if file.model.others == "none":
+        hint = "write `others: auto` to pair the others by their names too, or "
+        hint += "`others: none` if they are to stay"
+    lines = (file.document.position(("joints",))[0],)
+    return [
+        replace(
+            fault,
+            message=message,
+            path=str(options.map),
+            lines=lines,
+            hint=hint,
+            severity=Severity.WARNING,
+        )
+    ]
 
 
 def _pair_joints(

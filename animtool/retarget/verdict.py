@@ -111,9 +111,11 @@ class Verdict:
 
     def with_reasons(self, reasons: Sequence[VerdictReason]) -> Verdict:
         """Return the verdict with further reasons; a good take then needs a check."""
-        if not reasons or self.status is TakeStatus.UNUSABLE:
+        if not reasons:
             return self
-        return Verdict(TakeStatus.LOOK, (*self.reasons, *reasons))
+        is_unusable = self.status is TakeStatus.UNUSABLE
+        status = TakeStatus.UNUSABLE if is_unusable else TakeStatus.LOOK
+        return Verdict(status, (*self.reasons, *reasons))
 
 
 def assess_take(

@@ -90,7 +90,13 @@ FILES_PER_CHUNK = 10
 # Findings that another finding in the same file explains, by the codes that do.
 CAUSES_BY_CODE = {
     "MKR117": {"MKR204"},
-    "MOT209": {"CLIP122", "CLIP123"},
+    "MOT202": {"TAKE013"},
+    "MOT203": {"TAKE013"},
+    "MOT205": {"TAKE013"},
+    "MOT206": {"TAKE013"},
+    "MOT207": {"TAKE013"},
+    "MOT208": {"TAKE013"},
+    "MOT209": {"CLIP122", "CLIP123", "TAKE013"},
     "MOT213": {"USD126"},
     "RIG204": {"RIG115"},
 }

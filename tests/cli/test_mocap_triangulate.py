@@ -36,6 +36,14 @@ def run(folder: Path, *more: object, output: str = "out.npz") -> Done:
                     "stage.cameras.yaml", "-o", output, *more, cwd=folder)  # fmt: skip
 
 
+def test_exchanged_inputs_are_named(capture: Path) -> None:
+    swapped = "stage.cameras.yaml", "--cameras", "take.npz", "-o", "out.npz"
+    done = animtool("mocap", "triangulate", *swapped, cwd=capture)
+    assert done.code == 2
+    assert "take.npz: IO002" in done.stderr
+    assert "triangulate take.npz --cameras stage.cameras.yaml" in done.stderr
+
+
 def test_files_are_written_and_reported(capture: Path) -> None:
     done = run(capture, "--format", "json")
     assert done.code == 0, done.stderr

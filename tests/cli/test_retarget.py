@@ -237,11 +237,15 @@ def test_a_map_file_says_enough_of_what_follows_what(
 ) -> None:
     lamp, mapped = tmp_path / "lamp.rig.yaml", tmp_path / "a.map.yaml"
     lamp.write_text(LAMP, "utf-8")
-    mapped.write_text(
-        "map: animtool/1\njoints:\n- {source: Head, target: head}\n", "utf-8"
-    )
-    done = animtool("retarget", root / WALK, "--to", lamp, "--map", mapped)
-    assert done.code == 0, done.stderr
+    text = "map: animtool/1\njoints:\n- {source: Head, target: head}\n"
+    # Without `others`, it is not said that all other joints are to stay at rest.
+    for others, code in (("", 1), ("others: none\n", 0)):
+        mapped.write_text(text + others, "utf-8")
+        command = "retarget", root / WALK, "--to", lamp, "--map", mapped
+        done = animtool(*command)
+        assert done.code == 0, done.stderr
+        assert done.stderr.count("MAP010") == code
+        assert animtool(*command, "--strict").code == code
 
 
 def test_a_file_that_cannot_be_read_is_named_by_its_option(walk: Path) -> None:

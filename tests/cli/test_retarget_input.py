@@ -133,7 +133,7 @@ def test_a_take_in_another_unit_is_named() -> None:
     source, rig = SAMPLE / "takes/walk.bvh", SAMPLE / "rigs/child.rig.yaml"
     done = animtool("retarget", source, "--to", rig, "--units", "m")
     assert "MAP106 the rig is 0.00544 times the size" in done.stderr
-    assert "check these frames: size 0.00544 times that of the take" in done.stderr
+    assert "check: size 0.00544 times that of the take" in done.stderr
     assert "MAP106" not in animtool("retarget", source, "--to", rig).stderr
 
 

@@ -148,6 +148,7 @@ TRAPS = {
     "a list": ("- 1", [("DOC007", 1)]),
     "text": ("hello", [("DOC007", 1)]),
     "latin 1": (b"a: 1\nb: caf\xe9", [("DOC008", 2)]),
+    "no text": (b"\x01\xe9\0\0", [("DOC008", None)]),
     "utf 16": ("a: 1".encode("utf-16"), [("DOC008", 1)]),
     "a tab": ("a:\n\tb: 1", [("DOC001", 2)]),
     "NUL": ("a: 1\nb: \0", [("DOC001", 1)]),

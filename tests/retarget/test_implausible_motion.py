@@ -68,4 +68,4 @@ def test_every_command_says_that_the_feet_are_off_the_ground_once(
         done = animtool(*command)
         assert (done.stdout + done.stderr).count("MOT209") == 1
         if command[0] == "retarget":
-            assert "check these frames: the height of the take" in done.stderr
+            assert "check: the height of the take" in done.stderr

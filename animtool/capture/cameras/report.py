@@ -173,7 +173,8 @@ def camera_notices(
         hint = "calibrate it again"
         if shift.change is not None and shift.change.matching:
             matching_name = repr(shift.change.matching)
-            text += f", and the calibration of {matching_name} fits them"
+            text += f", and the calibration of {matching_name} fits them within "
+            text += f"{shift.change.error_px:.2g} px"
             hint = f"exchange the points or the calibrations of {report.name!r} and "
             hint += matching_name
         elif shift.change is not None:

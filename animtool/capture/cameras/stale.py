@@ -238,14 +238,39 @@ def fit_pose_change(
 ) -> PoseChange | None:
     """Return the pose change that fits a camera's pixels best; None if none fits.
 
-    Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median. World
-    positions ``(F, M, 3)`` [m] and pixels ``(F, M, 2)`` are NaN where missing; the
-    pixels may belong to one of the other cameras instead.
+    World positions ``(F, M, 3)`` [m] and pixels ``(F, M, 2)`` are NaN where missing.
+    The pixels may belong to one of the other cameras instead.
     """
     is_valid = np.isfinite(points).all(axis=-1) & np.isfinite(pixels).all(axis=-1)
     points, pixels = points[is_valid], pixels[is_valid]
     if len(points) < MIN_OBSERVATIONS:
         return None
+    initial_error = _median_error(camera, points, pixels)
+    # The pose of another camera may be too far away for the steps to get there.
+    refined_camera = min(
+        others, key=lambda other: _median_error(other, points, pixels), default=camera
+    )
+    refined_error = _median_error(refined_camera, points, pixels)
+    matching = refined_camera.name
+    if not refined_error < MATCH_ERROR_RATIO * initial_error:
+        refined_camera, matching = _refined_camera(camera, points, pixels), ""
+        refined_error = _median_error(refined_camera, points, pixels)
+    if not refined_error < 0.5 * initial_error:
+        return None
+    rotation_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
+    return PoseChange(
+        float(np.linalg.norm(rotation_vector)),
+        float(np.linalg.norm(refined_camera.position - camera.position)),
+        refined_error,
+        matching,
+    )
+
+
+def _refined_camera(camera: Camera, points: FloatArray, pixels: FloatArray) -> Camera:
+    """Return the camera with the pose that fits points ``(N, 3)`` best.
+
+    Gauss-Newton steps with residuals weighted by 1 / (1 + r / s), s their median.
+    """
     rotation, translation = camera.rotation, camera.translation
     refined_camera = camera
     for _ in range(_GAUSS_NEWTON_STEPS):
@@ -254,7 +279,7 @@ def fit_pose_change(
         lengths = np.linalg.norm(residual_vectors, axis=-1)
         is_usable = np.isfinite(lengths)
         if is_usable.sum() < MIN_OBSERVATIONS:
-            return None
+            return camera
         median_length = max(float(np.median(lengths[is_usable])), 1e-6)
         weights = np.where(is_usable, 1 / (1 + lengths / median_length), 0.0)
         jacobian = _pixel_derivatives(refined_camera, points)
@@ -265,24 +290,7 @@ def fit_pose_change(
         step = np.linalg.lstsq(design_matrix, -weighted_residuals, rcond=None)[0]
         rotation = to_matrix(exp(step[:3])) @ rotation
         translation = to_matrix(exp(step[:3])) @ translation + step[3:]
-    refined_error = _median_error(refined_camera, points, pixels)
-    initial_error = _median_error(camera, points, pixels)
-    if not refined_error < 0.5 * initial_error:
-        return None
-    error_by_camera = {
-        other.name: _median_error(other, points, pixels) for other in others
-    }
-    best_name = min(error_by_camera, key=error_by_camera.__getitem__, default="")
-    is_match = (
-        error_by_camera.get(best_name, np.inf) < MATCH_ERROR_RATIO * initial_error
-    )
-    rotation_vector = log(from_matrix(refined_camera.rotation @ camera.rotation.T))
-    return PoseChange(
-        float(np.linalg.norm(rotation_vector)),
-        float(np.linalg.norm(refined_camera.position - camera.position)),
-        refined_error,
-        best_name if is_match else "",
-    )
+    return refined_camera
 
 
 def _median_error(camera: Camera, points: FloatArray, pixels: FloatArray) -> float:

@@ -24,6 +24,7 @@ from animtool.core.files.reading import (
 )
 from animtool.core.record import dataclass
 from animtool.formats import FLOAT32_MAX
+from animtool.formats.zero_rows import ZeroRows
 
 CHUNK_BYTES = 1 << 19
 # Maximum length of a header line, which names one joint or its channels.
@@ -149,6 +150,7 @@ class RowReader:
         self._row_count = 0
         self._first_surplus_line: int | None = None
         self._last_row: FloatArray | None = None
+        self._zero_rows = ZeroRows()
         self._missing_lines_by_column: dict[int, list[int]] = {}
         self._out_of_range_lines_by_column: dict[int, list[int]] = {}
 
@@ -157,6 +159,7 @@ class RowReader:
         pending_blocks: list[FloatArray] = []
         for rows, lines in self._parse_rows():
             self._count_rows(lines)
+            self._zero_rows.add(rows, lines)
             block = rows
             if not (rows.min() >= -FLOAT32_MAX and rows.max() <= FLOAT32_MAX):
                 self._record_invalid_lines(rows, lines)
@@ -311,6 +314,7 @@ class RowReader:
             if declared_count > row_count:
                 hint += "; is the file truncated? copy or export it again"
             self._warn("BVH101", message, [line], hint)
+        self.notices += self._zero_rows.warnings(self._path)
         hint = "interpolated between neighbours"
         self._warn_channels("BVH102", self._missing_lines_by_column, "not finite", hint)
         hint = "the largest float32 is written; the reported error does not count them"

@@ -27,6 +27,8 @@ MAX_LABEL_STEP = 16
 MAX_CLOCK_JITTER = 0.1
 # Longer gaps between two rows are not filled [s].
 MAX_GAP_SECONDS = 600
+# A second recording in a file begins this much earlier [s], with this many rows.
+MIN_BACK_SECONDS, MIN_RECORDING_ROWS = 1.0, 24
 MAX_LISTED_LINES = 12
 # If more than this fraction of time codes exceed a stated rate, the rate is wrong.
 MIN_ABOVE_LIMIT_FRACTION = 0.1
@@ -89,6 +91,7 @@ def find_row_frames(
     # Steps wrap at midnight; the shorter direction shows rows that are out of order.
     half_day = labels_per_day // 2
     label_steps = (np.diff(label_counts) + half_day) % labels_per_day - half_day
+    _refuse_second_recording(file, timecodes, line_numbers, label_steps / float(rate))
     labels = np.concatenate([[0], np.cumsum(label_steps)])
     time_order = np.argsort(labels + fractions, kind="stable")
     unsorted_indices = np.flatnonzero(np.diff(time_order) < 0)
@@ -115,6 +118,29 @@ def find_row_frames(
         message += f"one: skipped, lines {listed(repeated_lines, MAX_LISTED_LINES)}"
         file.warn("LLF105", message, None, *repeated_lines[:MAX_LISTED_LINES])
     return RecordingFrames(rate, step, time_order[is_first], frames[is_first])
+
+
+def _refuse_second_recording(
+    file: CaptureFile,
+    timecodes: Sequence[str],
+    line_numbers: IntArray,
+    steps: FloatArray,
+) -> None:
+    """Raise if times go back and on from there, as in pasted recordings (LLF006).
+
+    ``steps`` are those between the times of the rows ``(R - 1,)`` [s]. Rows that are
+    out of order go back too, but then jump ahead again.
+    """
+    back_steps = np.flatnonzero(steps < 0)
+    ends = np.append(back_steps, len(steps))[1:]
+    for start, end in zip(back_steps.tolist(), ends.tolist(), strict=True):
+        run = steps[start + 1 : end]
+        is_long = len(run) >= MIN_RECORDING_ROWS and -steps[start] > MIN_BACK_SECONDS
+        if is_long and run.max() < -steps[start] / 2:
+            message = f"the time goes back from {timecodes[start]} to "
+            message += f"{timecodes[start + 1]}: a second recording begins here"
+            hint = "split the file at this line"
+            raise file.error("LLF006", message, hint, int(line_numbers[start + 1]))
 
 
 def _timecode_fields(

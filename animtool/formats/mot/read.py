@@ -35,6 +35,7 @@ from animtool.formats.row_times import (
     rounding_error,
 )
 from animtool.formats.trajectories import CaptureFile
+from animtool.formats.zero_rows import ZeroRows
 from animtool.ik.sub_rig import with_mimics
 from animtool.maths.filters import fill_gaps
 from animtool.motion.motion import Channel, Motion
@@ -97,6 +98,11 @@ def read_mot(
         file.warn_of_names("MOF102", message, unmatched_names, hint)
     if header.in_degrees is None:
         _warn_unstated_unit(file, header.invalid_in_degrees)
+    if rig is not None:
+        # Without a rig, the columns may be forces, which are zero between contacts.
+        zero_rows = ZeroRows()
+        zero_rows.add(table.values[:, column_indices], table.line_numbers)
+        file.notices += zero_rows.warnings(file.path)
     values = fill_gaps(table.values[:, column_indices], table.times)
     is_angle = np.array([coordinate.is_angle for coordinate in coordinates], np.bool_)
     if header.in_degrees:

@@ -91,6 +91,7 @@ class MotionTable:
     values: FloatArray  # ``(R, C)``, NaN if a cell is empty or not a finite number
     times: FloatArray  # times of the rows ``(R,)`` [s], ascending
     time_decimals: int  # largest number of decimals of the times
+    line_numbers: IntArray  # lines of the rows ``(R,)``
 
 
 @expects_format("MOF001", "an OpenSim motion file")
@@ -116,7 +117,7 @@ def read_table(path: Path) -> MotionTable:
     with np.errstate(invalid="ignore"):
         cells[~(np.abs(cells) <= FLOAT32_MAX)] = np.nan
     _warn_missing_values(file, header.names, cells, rows.line_numbers)
-    return MotionTable(file, header, cells, times, time_decimals)
+    return MotionTable(file, header, cells, times, time_decimals, rows.line_numbers)
 
 
 def read_header(file: CaptureFile, lines: list[bytes]) -> MotHeader:

@@ -16,6 +16,7 @@ from animtool.core.record import dataclass
 from animtool.core.units import up_from_up
 from animtool.motion.motion import Motion, TimedBlocks, split_blocks
 from animtool.rig.kinematics import bind_matrices
+from animtool.rig.mesh_sizes import mesh_size_warnings
 from animtool.rig.skeleton import Rig
 from animtool.rig.surfaces import (
     Strands,
@@ -90,6 +91,8 @@ def open_character(take: TakePlan, target: RigTarget | None) -> DeformedCharacte
         rotation = up_from_up(rig.up, stage_meshes.up)
         surfaces = rotate_unskinned(stage_meshes.surfaces, rotation)
         strands, bind = stage_meshes.strands, stage_meshes.bind
+    if all(notice.code != "RIG218" for notice in take.stream.notices):
+        take.notices.extend(mesh_size_warnings(rig, surfaces))
     if options.normals is False:
         surfaces = tuple(replace(surface, normals=None) for surface in surfaces)
     if not surfaces and not strands:

@@ -39,12 +39,14 @@ SUSPECT_SOURCES = {
     "BVH115": "the root channels of the take",
     "BVH116": "an offset of the take",
     "BVH117": "the channel order of the take",
+    "MAP010": "the map",
     "MAP115": "the map",
     "MOT209": "the height of the take",
     "MOT210": "left and right of the take",
     "MOT213": "the unit of the take",
     "MOT214": "the up axis of the take",
     "TAKE012": "the rate of the take",
+    "TAKE013": "the rows of zeros in the take",
 }
 
 

@@ -10,10 +10,14 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray
 from animtool.core.errors import percent_text
-from animtool.core.quantities import length_text, vector_text
-from animtool.documents.document import Document, Location
+from animtool.core.quantities import length_text, plain_number, vector_text
+from animtool.core.units import UpAxis
+from animtool.documents.document import Document, Location, parse_location
 from animtool.maths import so3
+from animtool.motion.marker_size import UNIT_FACTORS
+from animtool.motion.transforms import PropRequest
 from animtool.scene.file.entries import SceneSystem
+from animtool.scene.systems.carriers import PrimCarrier
 from animtool.scene.systems.suspicious_forces import EARTH_GRAVITY, warn_of_weak_gravity
 from animtool.sim.colliders import Box, Capsule, Collider, Colliders, Plane, Sphere
 from animtool.sim.colliders.shapes import shape_bounds
@@ -31,6 +35,9 @@ MAX_CUT_FRACTION, MAX_ROUND_CUT_FRACTION, MAX_DISPLACED_CUT_FRACTION = 0.45, 0.5
 FILL_SAMPLES_PER_SIDE = 12
 # Height above the ground that no position of a crowd needs [m].
 MAX_HEIGHT = 2.0
+# A prim is in another unit if it would then be this near to the particles that it
+# holds, as a fraction of its distance from them [1].
+MAX_UNIT_GAP = 0.05
 # Names of pins of each kind, in hints.
 _PINS = {"rope": "start", "cloth": "top_left"}
 
@@ -70,6 +77,7 @@ def warn_of_layout(
                 document, location, spec, system.setup.entries, seconds
             )
             continue
+        _warn_of_prim_units(document, system)
         starts = list(_starts(system.kind, location, spec))
         if not system.setup.carriers and spec.resume is None:
             _warn_of_planes(
@@ -94,6 +102,51 @@ def warn_of_layout(
             _warn_of_upright(
                 document, location, starts, surroundings.colliders[0], fall_distance
             )
+
+
+def _warn_of_prim_units(document: Document, system: SceneSystem) -> None:
+    """Warn of a prim that in another unit of its file would be at its pin (SIM168)."""
+    for pin in getattr(system.setup.record, "pinned_points", ()):
+        carrier = pin.carrier
+        if not isinstance(carrier, PrimCarrier) or document.faults:
+            continue
+        poses = carrier.sample_poses()
+        pose = poses.at(0.0)
+        offsets = so3.rotate(pose[3:], pin.local_positions(poses))
+        distance = float(np.linalg.norm(offsets, axis=-1).min(initial=math.inf))
+        if not 0.0 < distance < math.inf:
+            continue
+        for factor in UNIT_FACTORS:
+            gaps = np.linalg.norm(offsets + (1.0 - factor) * pose[:3], axis=-1)
+            if float(gaps.min()) <= MAX_UNIT_GAP * distance:
+                _warn_of_prim_unit(document, system, pin, distance, factor)
+                return
+
+
+def _warn_of_prim_unit(
+    document: Document,
+    system: SceneSystem,
+    pin: Any,
+    distance: float,
+    factor: float,
+) -> None:
+    """Warn of a prim [m] away from its pin whose file is in another unit."""
+    from animtool.usd.props.reader import open_prop
+
+    carrier: PrimCarrier = pin.carrier
+    request = PropRequest(
+        carrier.file, carrier.prim, carrier.prim, reference=carrier.file
+    )
+    reference = open_prop(request, UpAxis.Y).track.reference
+    assert reference is not None
+    unit = reference.meters_per_unit
+    message = f"{carrier.prim} is {length_text(distance)} from the particles that it "
+    message += f"holds, but at them if all lengths of {carrier.file.name} were "
+    message += f"multiplied by {plain_number(factor)}"
+    hint = f"it states metersPerUnit = {unit:g}; if that is wrong, write "
+    hint += f"{plain_number(unit * factor)}"
+    key_location = (*system.setup.location, *parse_location(pin.where), "prim")
+    document.warn("SIM168", key_location, message, hint)
 
 
 def _free_fall_acceleration(kind: str, spec: Any) -> float:

@@ -23,6 +23,10 @@ from animtool.skin.deform import deform
 
 # A root is stationary if a cycle ends within this many steps of its start [1].
 STATIONARY_STEPS = 2.0
+# A cycle comes round if no joint's step over the seam is longer than this multiple of
+# its longest other step [1], or than these: a fraction of the character's size [1], an
+# angle [deg]. Fewer poses have no typical steps.
+MAX_SEAM_RATIO, MIN_GAP, MIN_GAP_ANGLE, MIN_CYCLE_POSES = 2.0, 0.01, 3.0, 6
 # Fractions of a cycle over which the seam residual is blended [1], and over which a
 # cycle is steered to the last one [1].
 SEAM_FRACTION, STEERED_FRACTION = 0.25, 0.5
@@ -149,6 +153,52 @@ def cycle_travel(rig: Rig, poses: Sequence[LocalPose]) -> CycleShift:
     goal = last + (end_step + so3.rotate(rotation, start_step)) / 2
     shift = goal - so3.rotate(rotation, first)
     return CycleShift(shift - float((shift * up).sum()) * up, rotation)
+
+
+@dataclass(frozen=True, slots=True)
+class CycleGap:
+    """A take that is no cycle: how it gets from its last frame to the first."""
+
+    joint: str  # joint whose step is out of proportion
+    distance: float  # farthest distance of a joint in the last frame from the first [m]
+    angle: float  # largest rotation of a joint from the last frame to the first [deg]
+    step: float  # step of the joint to the next cycle, without its travel [m] or [deg]
+    typical_step: float  # longest step of that joint within the cycle, likewise
+    is_rotation: bool  # whether both steps are rotations
+
+
+def cycle_gap(rig: Rig, poses: Sequence[LocalPose]) -> CycleGap | None:
+    """Return the gap of a cycle that does not come round; None if it does.
+
+    ``poses`` are those of the cycle, and the first one moved by `cycle_travel`.
+    """
+    if len(poses) < MIN_CYCLE_POSES:
+        return None
+    translations, rotations = (
+        np.stack([getattr(pose, name) for pose in poses])
+        for name in ("translations", "rotations")
+    )
+    world = forward_kinematics(rig, translations, rotations)
+    positions = world.positions
+    shifts = np.linalg.norm(np.diff(positions, axis=0), axis=-1)
+    angles = np.degrees(so3.angle_between(rotations[:-1], rotations[1:]))
+    min_shift = MIN_GAP * float(np.ptp(positions[0], axis=0).max())
+    for steps, minimum in ((shifts, min_shift), (angles, MIN_GAP_ANGLE)):
+        limits = np.maximum(MAX_SEAM_RATIO * steps[:-1].max(axis=0), minimum)
+        ratios = steps[-1] / np.maximum(limits, np.finfo(float).tiny)
+        joint = int(ratios.argmax())
+        if ratios[joint] > 1.0:
+            ends = np.linalg.norm(positions[-2] - positions[0], axis=-1)
+            turns = so3.angle_between(rotations[-2], rotations[0])
+            return CycleGap(
+                rig.joints[joint].name,
+                float(ends.max()),
+                float(np.degrees(turns.max())),
+                float(steps[-1, joint]),
+                float(steps[:-1, joint].max()),
+                steps is angles,
+            )
+    return None
 
 
 def advance_cycle(rig: Rig, pose: LocalPose, travel: CycleShift) -> LocalPose:

@@ -25,10 +25,12 @@ from animtool.systems.attach.chains import chain_rotations
 from animtool.systems.attach.colliders import CollisionSurroundings
 from animtool.systems.attach.poses import (
     STEERED_FRACTION,
+    CycleGap,
     CycleShift,
     LocalPose,
     advance_cycle,
     bind_around,
+    cycle_gap,
     cycle_travel,
     ease_rotations,
     extrapolate_roots,
@@ -130,6 +132,7 @@ class AttachSimulation:
         self.visited_codes: list[float] = []  # time codes of the frames so far
         self.resumed = resumed  # states to resume from
         self.loop_closure: LoopClosure | None = None  # result of a cycle
+        self.cycle_gap: CycleGap | None = None  # gap of a take that is no cycle
         self._skins: list[SkinSurface] = []  # collision meshes of the character
         if any(self._collides_with_skins(body) for body in bodies):
             self._skins = build_skins(self.rig)
@@ -338,6 +341,7 @@ class AttachSimulation:
         poses = [pose_at(motion, i) for i in range(count)]
         travel = cycle_travel(self.rig, poses)
         poses.append(advance_cycle(self.rig, poses[0], travel))
+        self.cycle_gap = cycle_gap(self.rig, poses)
         tolerance = parse_length(self.options.loop_tolerance)
         max_repeats = self.options.loop_repeats
         self._advanced_frame_count, self._total_frame_count = 0, count * max_repeats

@@ -19,10 +19,14 @@ from animtool.core.errors import (
     percent_text,
     warning,
 )
-from animtool.core.quantities import plain_number
+from animtool.core.quantities import length_text, plain_number
 from animtool.motion.motion import Motion
 from animtool.motion.passes import FrameScope, Pass, PassContext, TakePart
 from animtool.motion.take import TakeStream
+from animtool.rig.kinematics import rest_size
+from animtool.rig.mesh_sizes import MIN_SKELETON_JOINTS, mesh_size_texts
+from animtool.rig.parts import AttachKind
+from animtool.rig.skeleton import Rig
 from animtool.sim.colliders import Colliders
 from animtool.systems.attach.actor import AttachmentActor
 from animtool.systems.attach.bodies import (
@@ -32,6 +36,7 @@ from animtool.systems.attach.bodies import (
     build_bodies,
     surface_defects,
 )
+from animtool.systems.attach.poses import CycleGap
 from animtool.systems.attach.settings import SimulateOptions, option_checks
 from animtool.systems.attach.simulation import (
     AttachSimulation,
@@ -118,8 +123,15 @@ def attachment_report(actor: AttachmentActor) -> dict[str, object]:
 def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
     """Return all notices of a finished simulation."""
     notices = [_summary_notice(actor) for actor in simulation.actors]
+    oversized_body, _ = _oversized_body(simulation.rig, simulation.bodies)
+    if simulation.cycle_gap is not None:
+        # Contacts and strains result from the jump of the character.
+        notices.append(_no_cycle_warning(simulation.cycle_gap))
+        return notices + named_frame_notices(simulation)
     for actor in simulation.actors:
         name = actor.body.name
+        if actor.body is oversized_body:
+            continue  # strain and contacts result from its size
         notices += _start_notices(actor) + _contact_warnings(actor)
         if isinstance(actor.body, ChainBody) and actor.body.has_free_tip:
             notices += _last_joint_notices(simulation, actor.body)
@@ -203,6 +215,40 @@ def _contact_warnings(actor: AttachmentActor) -> list[Fault]:
     return warnings
 
 
+def _oversized_body(
+    rig: Rig, bodies: Sequence[AttachedBody]
+) -> tuple[AttachedBody | None, list[Fault]]:
+    """Return the cloth that is in another unit than the rig, and a warning (RIG218)."""
+    cloth = [body for body in bodies if body.kind == AttachKind.CLOTH]
+    sizes = {
+        body.name: float(np.linalg.norm(np.ptp(body.network.points, axis=0)))
+        for body in cloth
+    }
+    rig_size = rest_size(rig)
+    texts = mesh_size_texts(sizes, rig_size)
+    # A ribbon may be small.
+    is_small = max(sizes.values(), default=0.0) < rig_size
+    if texts is None or is_small or len(rig.joints) < MIN_SKELETON_JOINTS:
+        return None, []
+    (body,) = [body for body in cloth if body.name == texts[0]]
+    return body, [warning("RIG218", *texts[1:])]
+
+
+def _no_cycle_warning(gap: CycleGap) -> Fault:
+    """Return a warning about a character that jumps at the seam (SIM133)."""
+    steps = [length_text(gap.step), length_text(gap.typical_step)]
+    if gap.is_rotation:
+        steps = [f"{gap.step:.3g}°", f"{gap.typical_step:.3g}°"]
+    message = (
+        f"the take is no cycle: its last frame is {length_text(gap.distance)} and "
+    )
+    message += f"{gap.angle:.3g}° from its first, and joint {gap.joint!r} jumps by "
+    message += f"{steps[0]} at the seam, apart from the travel of the cycle, and by "
+    message += f"{steps[1]} at most elsewhere"
+    hint = "make it a cycle with the pass `loop` before this one, or set loop: false"
+    return warning("SIM133", message, hint, "loop")
+
+
 def _cycle_notice(names: str, loop_closure: LoopClosure) -> Fault:
     """Return a note or warning with the remaining gap of a cycle (SIM130, SIM133)."""
     times = counted(loop_closure.repeat_count, "time")
@@ -254,6 +300,7 @@ def simulate(
         context.progress,
         world,
     )
+    stream.notices.extend(_oversized_body(stream.rig, bodies)[1])
     point_names = [body.mesh.name for body in bodies if isinstance(body, SurfaceBody)]
     return replace(
         stream,

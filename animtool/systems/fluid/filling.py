@@ -9,7 +9,14 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, RefusalCollector, counted, refuse, warning
+from animtool.core.errors import (
+    Fault,
+    RefusalCollector,
+    counted,
+    percent_text,
+    refuse,
+    warning,
+)
 from animtool.core.quantities import floor_to_two_digits, length_text
 from animtool.core.record import dataclass
 from animtool.maths import so3
@@ -25,6 +32,11 @@ MIN_SPACING = 0.25
 MIN_INFLOW_DISTANCE = 0.6
 # Relative rounding tolerance of radii, and of the time between layers [1].
 RELATIVE_ROUNDING = 1e-6
+# A fill of more spacings across than this has about its volume in particles. Others may
+# lack or gain this fraction of it [1], estimated from samples along each side.
+COARSE_SIDE, MAX_VOLUME_ERROR, VOLUME_SAMPLES = 8.0, 1 / 3, 16
+# Spacings across the shortest side of a fill, in hints.
+FINE_SIDE = 10.0
 # Radius of drops whose surface tension has an error of 10 %, in spacings.
 RESOLVED_RADIUS = 5.0
 # Radius of the drops of a jet relative to that of the jet (Rayleigh 1879).
@@ -82,25 +94,62 @@ def coarse_drop_warnings(
         return
 
 
-def thin_fill_warnings(
-    spec: FluidModel, fill_data: Sequence[Mapping[str, Any]]
+def coarse_fill_warnings(
+    spec: FluidModel,
+    fill_data: Sequence[Mapping[str, Any]],
+    colliders: Colliders,
+    t: float,
 ) -> Iterator[Fault]:
-    """Yield a warning about the first fill thinner than the spacing (SIM204)."""
+    """Yield a warning about the first fill that the spacing is too large for (SIM204).
+
+    It is thinner than the spacing, or has a third more or less volume than its
+    particles.
+    """
+    spacing = spec.spacing
     for i, data in enumerate(fill_data):
         if data.get("shape") is None:
             continue
-        thicknesses = np.diff(shape_bounds(data["shape"]), axis=0)[0]
-        thickness, spacing_text = float(thicknesses.min()), length_text(spec.spacing)
-        if thickness < (1 - RELATIVE_ROUNDING) * spec.spacing:
-            message = (
-                f"{_fill_label(spec, i)} is {length_text(thickness)} thick, less than "
-            )
-            message += f"the spacing of particles, {spacing_text}: its particles stand "
-            message += "for more fluid than it has"
-            half_thickness = floor_to_two_digits(thickness / 2)
-            hint = f"use a spacing of {length_text(half_thickness)}, or a larger fill"
+        sides = np.diff(shape_bounds(data["shape"]), axis=0)[0]
+        side, label = float(sides.min()), _fill_label(spec, i)
+        if side < (1 - RELATIVE_ROUNDING) * spacing:
+            message = f"{label} is {length_text(side)} thick, less than "
+            message += f"the spacing of particles, {length_text(spacing)}: its "
+            message += "particles stand for more fluid than it has"
+            half = floor_to_two_digits(side / 2)
+            hint = f"use a spacing of {length_text(half)}, or a larger fill"
             yield warning("SIM204", message, hint, f"fills[{i}].shape")
             return
+        if side > COARSE_SIDE * spacing:
+            continue
+        count = _fill_motion(spec, i, data, colliders, t).shape[1]
+        volume = _free_volume(data["shape"], data["poses"], colliders, t)
+        ratio = count * spacing**3 / volume if volume else 1.0
+        if abs(ratio - 1.0) <= MAX_VOLUME_ERROR:
+            continue
+        message = f"{label} has {volume:.3g} m³ of room, but gets "
+        message += f"{counted(count, 'particle')} of {length_text(spacing)}, "
+        message += f"{count * spacing**3:.3g} m³: "
+        message += f"{percent_text(abs(ratio - 1.0))} of the fluid is "
+        message += "missing" if ratio < 1.0 else "too much"
+        fine = floor_to_two_digits(side / FINE_SIDE)
+        hint = f"use a spacing of {length_text(fine)}, a tenth of its shortest side"
+        yield warning("SIM204", message, hint, "spacing")
+        return
+
+
+def _free_volume(shape: Any, poses: Poses, colliders: Colliders, t: float) -> float:
+    """Return the volume of a shape outside colliders [m³], by sampling."""
+    low, high = shape_bounds(shape)
+    axis = (np.arange(VOLUME_SAMPLES) + 0.5) / VOLUME_SAMPLES
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1)
+    points = low + (high - low) * grid.reshape(-1, 3)
+    is_free = Colliders([Collider(shape).as_solid()]).sample(points, 0.0).distances < 0
+    pose = poses.at(t)
+    if colliders.rigid_colliders:
+        world_points = so3.rotate(pose[3:], points) + pose[:3]
+        gaps = colliders.as_solids.sample(world_points, t).distances
+        is_free = np.concatenate([is_free, gaps >= 0])
+    return float(is_free.all(axis=0).mean() * np.prod(high - low))
 
 
 def _fill_motion(

@@ -25,9 +25,9 @@ from animtool.sim.system import Energy
 from animtool.systems.fluid.filling import (
     Nozzle,
     coarse_drop_warnings,
+    coarse_fill_warnings,
     find_clear_points,
     initial_fluid,
-    thin_fill_warnings,
 )
 from animtool.systems.fluid.spec import FluidModel
 from animtool.systems.fluid.substeps import Substeps
@@ -87,8 +87,9 @@ def build(spec: FluidModel, context: SimContext) -> Fluid:
         for emitter, nozzle_data in emitters
     ]
     notices = colliders.notices()
-    notices += thin_fill_warnings(spec, entry_data.get("fills", ()))
-    notices += coarse_drop_warnings(spec, entry_data.get("fills", ()))
+    fills = entry_data.get("fills", ())
+    notices += coarse_fill_warnings(spec, fills, colliders, begin)
+    notices += coarse_drop_warnings(spec, fills)
     if spec.surface is not None:
         from animtool.systems.fluid.surface import check_surface
 

@@ -21,6 +21,7 @@ from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.forces.base import Force
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.coincident import coincident_notices, coincident_pairs
+from animtool.systems.rigid.half_sizes import half_size_notices
 from animtool.systems.rigid.joints import (
     Joints,
     build_joints,
@@ -106,6 +107,7 @@ class RigidSimulation(RigidStates):
         last_phase = self._phases.phase(self._phases.last_index, np.zeros(0, np.bool_))
         self._colliders = last_phase.surroundings.colliders
         self._locked_notices = locked_notices(joints, bodies)
+        self._size_notices = half_size_notices(bodies, colliders)
         self._coincident_pairs = coincident_pairs(bodies, joints)
         self._kernel_settings = (
             spec.methods.index(spec.method),
@@ -408,7 +410,7 @@ class RigidSimulation(RigidStates):
             "deepest": float(state.deepest[0]),
             "residual": state.residual,
         }
-        notices = [*self.joints.notices, *self._locked_notices]
+        notices = [*self.joints.notices, *self._locked_notices, *self._size_notices]
         notices += coincident_notices(self.bodies, self._coincident_pairs)
         notices += self._colliders.notices()
         notices += oscillation_notices(state, self.joints, self._spec.step)

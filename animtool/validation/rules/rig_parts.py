@@ -15,6 +15,7 @@ from animtool.documents.arrays import Archives
 from animtool.documents.document import Location
 from animtool.maths import so3
 from animtool.rig.limits import BallLimit, RangeLimit
+from animtool.rig.mesh_sizes import MIN_SKELETON_JOINTS, mesh_size_texts
 from animtool.rig.parts import IkChain, Mesh, Shape
 from animtool.rig.sides import pair_sides
 from animtool.rig.skeleton import Joint, JointType
@@ -89,10 +90,6 @@ def legal_usd_name(name: str) -> str:
 WEIGHT_SUM_TOLERANCE = 0.02
 # Engines support four or eight joints per vertex.
 MAX_INFLUENCES = 8
-# Size ratio of a mesh and its skeleton that is rarely exceeded [1].
-MAX_SIZE_RATIO = 30.0
-# With fewer joints, a rig is a prop that may be anywhere in a large mesh.
-MIN_SKELETON_JOINTS = 3
 
 
 def ineffective_shapes(rig: RigSubject) -> Iterator[Fault]:
@@ -169,18 +166,10 @@ def mesh_size(rig: RigSubject) -> Iterator[Fault]:
             for mesh in rig.rig.meshes
             if mesh.skin is not None and mesh.geom_bind is None
         }
-    largest_size = max(size_by_mesh.values(), default=0.0)
-    if (
-        largest_size
-        and not rig.size / MAX_SIZE_RATIO <= largest_size <= rig.size * MAX_SIZE_RATIO
-    ):
-        largest_name = max(size_by_mesh, key=lambda name: size_by_mesh[name])
-        message = (
-            f"{largest_name!r} measures {largest_size:.3g} m, but the joints at rest "
-            f"{rig.size:.3g} m"
-        )
-        hint = "points use the file's unit, as joints do; or write geom_bind"
-        location = (*rig.at("meshes", largest_name), "points")
+    texts = mesh_size_texts(size_by_mesh, rig.size)
+    if texts is not None:
+        name, message, hint = texts
+        location = (*rig.at("meshes", name), "points")
         yield rig.fault("RIG218", location, message, hint)
 
 

@@ -95,6 +95,18 @@ def test_units_and_stated_rate(write) -> None:  # type: ignore[no-untyped-def]
     assert_allclose(take.rig.joints[1].translation, np.array(SPINE) * 0.0254)
 
 
+def test_rows_of_zeros_within_a_motion_are_reported(write) -> None:  # type: ignore[no-untyped-def]
+    rows = np.tile(np.arange(1.0, COLUMNS + 1.0) * 10.0, (12, 1))
+    rows += np.arange(12.0)[:, None]
+    rows[5:8] = 0.0
+    path = write(small_bvh(rows))
+    stream = read_bvh(path)
+    stream.collect()
+    faults = [notice for notice in stream.notices if notice.code == "TAKE013"]
+    line = len(path.read_text().splitlines()) - 12 + 5 + 1
+    assert [fault.lines for fault in faults] == [(line,)]
+
+
 @pytest.mark.parametrize("bad", ["nan", "inf", "-inf", "1.#QNAN"])
 @pytest.mark.parametrize("frames", [[3], [0, 1], [18, 19], [4, 5, 6, 12]])
 def test_gaps_are_interpolated(write, bad: str, frames: list[int]) -> None:  # type: ignore[no-untyped-def]

@@ -90,6 +90,12 @@ def test_variants_of_one_recording(write: Write, spoil: Callable[[str], str]) ->
     assert codes == ["LLF107"]
 
 
+def second_recording(count: int) -> str:
+    """Return two seconds of rows, and as many of the first ones as a second take."""
+    lines = [f"12:00:0{k // 30}:{k % 30:02}.000,5,0.1,0.5,0.1,0,0" for k in range(60)]
+    return "\n".join([HEADER, *lines, *lines[:count]]) + "\n"
+
+
 @pytest.mark.parametrize(
     ("content", "code", "line"),
     [
@@ -105,6 +111,7 @@ def test_variants_of_one_recording(write: Write, spoil: Callable[[str], str]) ->
         (rows(1) + ROW.format(2, 0).replace(":02.", ":xx."), "LLF005", 3),
         (rows(1) + ROW.format(2, 0).replace("12:00:00", "25:00:00"), "LLF005", 3),
         (rows(1) + ROW.format(2, 0).replace("12:00:00", "13:00:00"), "LLF006", 3),
+        (second_recording(30), "LLF006", 62),
     ],
 )
 def test_malformed(

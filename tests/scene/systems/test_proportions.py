@@ -144,3 +144,38 @@ def test_a_unit_that_scenes_cannot_name_is_not_advised(tmp_path: Path) -> None:
     (found,) = [one for one in validate([path]) if one.code == "SIM168"]
     assert "0.3048 m" in found.message
     assert "units:" not in (found.hint or "")
+
+
+PRIM = """#usda 1.0
+(
+    metersPerUnit = {unit}
+    upAxis = "Y"
+)
+def Xform "hook"
+{{
+    double3 xformOp:translate = ({x}, {y}, 0)
+    uniform token[] xformOpOrder = ["xformOp:translate"]
+}}
+"""
+
+
+@pytest.mark.parametrize(
+    ("unit", "x", "y", "right"),
+    [
+        (0.01, 1.0, 3.0, "write 1"),
+        (1.0, 100.0, 300.0, "write 0.01"),
+        (1.0, 1.0, 3.0, ""),
+        (1.0, 3.0, 1.0, ""),  # elsewhere, in no other unit at the pin
+    ],
+)
+def test_a_prim_whose_file_is_in_another_unit(
+    tmp_path: Path, unit: float, x: float, y: float, right: str
+) -> None:
+    where = ROPE.replace("[0,", "[1,")
+    carrier = "prim: {file: hook.usda, prim: /hook}"
+    path = scene(tmp_path, 3.0, head="range: [1, 3]", where=where, carrier=carrier)
+    (tmp_path / "hook.usda").write_text(PRIM.format(unit=unit, x=x, y=y), "utf-8")
+    found = [fault for fault in validate(path) if fault.code == "SIM168"]
+    assert [(fault.hint or "").endswith(right) for fault in found] == [True] * bool(
+        right
+    )

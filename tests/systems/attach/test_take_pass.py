@@ -23,7 +23,7 @@ from support.attached import (
 
 from animtool.core.errors import OptionError
 from animtool.maths import so3
-from animtool.motion.motion import Motion
+from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import PassContext, apply_pass, find_pass
 from animtool.motion.take import Take, TakeStream
 from animtool.rig.limits import BallLimit, RangeLimit
@@ -252,6 +252,17 @@ def test_a_cycle_ends_as_it_began(rig_take: Take) -> None:
     # Over the seam it goes on as it goes elsewhere.
     steps = np.abs(np.diff(places, axis=0)).max(axis=(1, 2))
     assert np.abs(places[0] - places[-1]).max() < 1.5 * steps.max()
+
+
+def test_a_take_that_is_no_cycle_is_named(rig_take: Take) -> None:
+    """The root tilts by 60 degrees, and is upright again in the next cycle."""
+    take = take_of(rig_take.rig, 24, 23 / 24, swing)
+    angles = np.radians(np.linspace(0.0, 60.0, 24))
+    rotations = take.motion.rotations.dense().copy()
+    rotations[:, 0] = so3.exp(angles[:, None] * np.array([1.0, 0.0, 0.0]))
+    motion = replace(take.motion, rotations=Channel.from_dense(rotations))
+    _, codes = simulated(replace(take, motion=motion), loop=True, **CALM)
+    assert codes == ["SIM130", "SIM133"]
 
 
 def test_a_cycle_that_travels() -> None:

@@ -23,7 +23,7 @@ from animtool.systems.fluid.filling import (
     Nozzle,
     _read_points,
     coarse_drop_warnings,
-    thin_fill_warnings,
+    coarse_fill_warnings,
 )
 from animtool.systems.fluid.fluid import Fluid, PressureResult
 from animtool.systems.fluid.spec import FluidEmitterModel, FluidModel
@@ -505,13 +505,34 @@ def test_a_drop_of_too_few_particles_says_so(radius: float, codes: list[str]) ->
         assert not list(coarse_drop_warnings(finely, [{"shape": Sphere(radius)}]))
 
 
+def coarse_fills(size: Any, spacing: float, *colliders: Collider) -> list[Fault]:
+    """Return the warnings about a box of fluid around the origin."""
+    fills = [{"shape": {"box": {"size": size}}}]
+    spec = FluidModel(**{"name": "it", "spacing": spacing, "fills": fills})
+    data = [{"shape": Box(size), "poses": Poses()}]
+    return list(coarse_fill_warnings(spec, data, Colliders([*colliders]), 0.0))
+
+
 @pytest.mark.parametrize(
     ("size", "codes"), [((1, 0.09, 1), ["SIM204"]), ((1, 0.1, 1), [])]
 )
 def test_a_fill_thinner_than_the_spacing(size: Any, codes: list[str]) -> None:
-    keys = {"name": "it", "spacing": 0.1, "fills": [{"shape": {"box": {"size": size}}}]}
-    faults = list(thin_fill_warnings(FluidModel(**keys), [{"shape": Box(size)}]))
-    assert [fault.code for fault in faults] == codes
+    assert [fault.code for fault in coarse_fills(size, 0.1)] == codes
+
+
+@pytest.mark.parametrize(
+    ("spacing", "percents"), [(0.3, ["63%"]), (0.1, []), (0.05, [])]
+)
+def test_a_spacing_that_loses_the_volume_of_a_fill(
+    spacing: float, percents: list[str]
+) -> None:
+    """A tank as wide as the fill keeps particles half a spacing from its walls."""
+    tank = Collider(Box((2.4, 2.0, 0.8)), container=True)
+    faults = coarse_fills((0.6, 0.9, 0.8), spacing, tank)
+    assert [fault.message.split(": ")[-1].split()[0] for fault in faults] == percents
+    for fault in faults:
+        millimetres = float(str(fault.hint).split()[4])
+        assert not coarse_fills((0.6, 0.9, 0.8), millimetres / 1000, tank)
 
 
 @pytest.mark.parametrize(("radius", "codes"), [(0.26, ["SIM175"]), (0.27, [])])
