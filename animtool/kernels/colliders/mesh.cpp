@@ -174,17 +174,23 @@ MeshSurface::MeshSurface(In<double, 2> points, In<std::int32_t, 2> triangles)
     std::copy_n(triangles.data() + 3 * tree.order()[k], 3, triangles_.data() + 3 * k);
   nodes_ = std::move(tree.nodes);
   adjacency_ = build_adjacency(triangles_.data(), count, point_count_);
-  curvature_radii_.assign(point_count_, collide::INF);
-  const collide::Mesh built = mesh(points.data(), nullptr, nullptr);
-  for (std::int32_t t = 0; t < count; ++t)
+  built_radii_ = curvature_radii(points.data());
+}
+
+std::vector<double> MeshSurface::curvature_radii(const double* points) const {
+  std::vector<double> radii(built_radii_);
+  radii.resize(point_count_, collide::INF);
+  const collide::Mesh current = mesh(points, nullptr, nullptr);
+  for (std::int32_t t = 0; t < static_cast<std::int32_t>(triangles_.size() / 3); ++t)
     for (int side = 0; side < 3; ++side) {
-      const double radius = collide::curvature_radius(built, t, side, collide::INF);
+      const double radius = collide::curvature_radius(current, t, side, collide::INF);
       if (radius == 0) continue;  // on the boundary
       for (const int end : {side, (side + 1) % 3}) {
-        double& smallest = curvature_radii_[static_cast<std::size_t>(triangles_[3 * t + end])];
+        double& smallest = radii[static_cast<std::size_t>(triangles_[3 * t + end])];
         smallest = std::min(smallest, radius);
       }
     }
+  return radii;
 }
 
 collide::Mesh MeshSurface::mesh(const double* points, const double* displacements,

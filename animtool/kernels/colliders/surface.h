@@ -21,9 +21,9 @@ class MeshSurface {
   collide::Mesh mesh(const double* points, const double* displacements, const double* bounds) const;
   // Computes boxes that contain the triangles along their motion between two sets of positions.
   void fit_boxes(const double* begin, const double* end, std::vector<double>& bounds) const;
-  // The smallest radius of curvature at the edges of each point, when the mesh was built; infinite
-  // where it is flat, concave or open (P,).
-  const std::vector<double>& curvature_radii() const { return curvature_radii_; }
+  // The smallest radius of curvature at the edges of each point, at these points (P, 3) or when the
+  // mesh was built; infinite where it is flat, concave or open (P,).
+  std::vector<double> curvature_radii(const double* points) const;
   // Signed distances of points from the mesh, with the mesh points at `positions`.
   Out<double, 1> distances(In<double, 2> positions, In<double, 2> points) const;
 
@@ -31,7 +31,7 @@ class MeshSurface {
   std::size_t point_count_;
   std::vector<std::int32_t> triangles_, nodes_;
   collide::MeshAdjacency adjacency_;
-  std::vector<double> curvature_radii_;
+  std::vector<double> built_radii_;
 };
 
 }  // namespace animtool

@@ -221,7 +221,9 @@ MovingSurface::MovingSurface(const SpringSurface& surface, std::int64_t interval
 
 void MovingSurface::find_fine_points(double max_radius, double max_size) {
   is_fine_.clear();
-  for (const double radius : surface_->curvature_radii()) is_fine_.push_back(radius < max_radius);
+  const double* last_points = points_.data() + points_.size() - shifts_.size();
+  for (const double radius : surface_->curvature_radii(last_points))
+    is_fine_.push_back(radius < max_radius);
   const Mesh mesh = surface_->mesh(points_.data(), nullptr, bounds_.data());
   // Children follow their parents.
   const std::size_t node_count = bounds_.size() / 6;

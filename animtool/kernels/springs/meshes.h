@@ -135,8 +135,8 @@ class MovingSurface {
   // The box of all triangles.
   const double* box() const { return bounds_.data(); }
   double margin() const { return settings_[2]; }
-  // Marks points whose radius of curvature is below a limit, and finds the largest nodes below a
-  // size that contain any.
+  // Marks points whose radius of curvature is below a limit at the last knot or when the mesh was
+  // built, and finds the largest nodes below a size that contain any.
   void find_fine_points(double max_radius, double max_size);
   bool is_fine(std::int32_t point) const { return is_fine_[static_cast<std::size_t>(point)]; }
   const std::vector<std::int32_t>& fine_nodes() const { return fine_nodes_; }

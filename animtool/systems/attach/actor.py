@@ -19,7 +19,6 @@ from animtool.sim.colliders import Colliders, Sheet
 from animtool.systems.attach.bodies import (
     AttachedBody,
     MassSpringNetwork,
-    coincident_link_count,
     max_pin_hops,
 )
 from animtool.systems.attach.colliders import (
@@ -33,7 +32,7 @@ from animtool.systems.attach.settings import AttachSettings, SimulateOptions
 from animtool.systems.attach.skins import FramePoses, SkinSurface, skin_margin
 from animtool.systems.framework.meter import ContactMeter, MeasuredSurface
 from animtool.systems.springs.body import TargetSprings
-from animtool.systems.springs.checks import tangle_notices
+from animtool.systems.springs.checks import coincident_notices, tangle_notices
 from animtool.systems.springs.choosing import SolverChoice
 from animtool.systems.springs.constraints import Pins, PointTargets
 from animtool.systems.springs.motion import at_rest, move_rigidly
@@ -112,17 +111,21 @@ class AttachmentActor:
         )
         self.animated_positions = positions = body.targets(start_samples)[0]
         self._joint_transforms, self._time = start_samples.world, 0.0
-        self.coincident_link_count = coincident_link_count(network, positions)
+        rest_lengths = network.rest_lengths
+        # Springs that all have no length have no direction either.
+        expected_lengths = rest_lengths if rest_lengths.any() else rest_lengths + 1.0
+        self.start_warnings = coincident_notices(
+            network.structural, expected_lengths, positions, f"{body.name}: "
+        )
         self._plan.system.joint_colliders = self._colliders.character_range
         self.grid = self._plan.start(0.0, at_rest(positions))
-        self.tangle_warnings: list[Fault] = []
         # Cloth with self-contact, as a collider of later attachments.
         path = np.zeros(2), np.stack([positions, positions])
         self._cloth_motion = ClothMotion(network.triangles, path)
         self.sheet: Sheet | None = None
         if thickness:
             subject = f"the cloth {body.name}"
-            self.tangle_warnings = tangle_notices(positions, network.triangles, subject)
+            self.start_warnings += tangle_notices(positions, network.triangles, subject)
             self.sheet = Sheet(
                 self._cloth_motion,
                 thickness / 2,

@@ -133,22 +133,6 @@ def max_pin_hops(network: MassSpringNetwork) -> int:
         hops += 1
 
 
-def coincident_link_count(network: MassSpringNetwork, points: FloatArray) -> int:
-    """Return the number of springs whose ends coincide at points ``(N, 3)``.
-
-    Springs of rest length 0 do not count, unless all have it.
-
-    >>> line = np.array([[0, 1], [1, 2]])
-    >>> network = MassSpringNetwork(np.eye(3), np.array([0]), line)
-    >>> coincident_link_count(network, np.array([[0.0, 0, 0], [0, 0, 0], [1, 0, 0]]))
-    1
-    """
-    i, j = network.structural.T
-    is_coincident = (points[i] == points[j]).all(axis=1)
-    lengths = network.rest_lengths
-    return int((is_coincident & ((lengths > 0) | ~lengths.any())).sum())
-
-
 def surface_defects(network: MassSpringNetwork) -> list[str]:
     """Return defects of a surface as text: degenerate triangles, shared edges.
 

@@ -104,6 +104,11 @@ class _AttachmentFrames:
     # States in a cycle, to which the next one may be steered ``(2, N, 3)`` [m, m/s].
     motions: list[FloatArray] = field(default_factory=list)
 
+    def add_points(self, actor: AttachmentActor) -> None:
+        """Add the points of a frame."""
+        self.simulated_points.append(actor.positions)
+        self.animated_points.append(actor.animated_positions)
+
 
 class AttachSimulation:
     """Simulates the attachments of a rig through a take."""
@@ -198,8 +203,7 @@ class AttachSimulation:
             self._save_and_resume(time_code)
             for row, actor in zip(rows, self.actors, strict=True):
                 actor.measure(time_code, actor.positions, actor.surroundings())
-                row.simulated_points.append(actor.positions)
-                row.animated_points.append(actor.animated_positions)
+                row.add_points(actor)
         self.visited_codes += codes.tolist()
         return self._blend(block, codes, rows)
 
@@ -400,9 +404,8 @@ class AttachSimulation:
         for i, (pose, next_pose) in enumerate(pairwise(poses)):
             for row, actor in zip(rows, self.actors, strict=True):
                 row.surroundings.append(actor.surroundings())
-                row.simulated_points.append(actor.positions)
                 row.motions.append(actor.grid.state.motion)
-                row.animated_points.append(actor.animated_positions)
+                row.add_points(actor)
             steering = [
                 CycleSteering(np.stack(row.motions[i : i + 2]), weights[i + 1])
                 for row in last_frames

@@ -167,20 +167,12 @@ def _summary_notice(actor: AttachmentActor) -> Fault:
 
 def _start_notices(actor: AttachmentActor) -> list[Fault]:
     """Return notices about the surface and the start pose of an attachment."""
-    notices, name, network = [], actor.body.name, actor.body.network
-    defects = surface_defects(network)
+    notices, name = [], actor.body.name
+    defects = surface_defects(actor.body.network)
     if defects:
         message = f"{name}: {listed(defects)}; it is simulated as it is"
         notices.append(Fault("SIM106", message, severity=Severity.NOTE))
-    if actor.coincident_link_count:
-        springs = counted(actor.coincident_link_count, "spring")
-        if actor.coincident_link_count == len(network.structural):
-            springs = "every spring"
-        message = f"{name}: the ends of {springs} are at the same position in the "
-        message += "first pose"
-        hint = "without a direction they have no effect until something separates them"
-        notices.append(warning("SIM140", message, hint))
-    return notices + actor.tangle_warnings
+    return notices + actor.start_warnings
 
 
 def _last_joint_notices(simulation: AttachSimulation, chain: ChainBody) -> list[Fault]:

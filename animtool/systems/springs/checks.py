@@ -85,21 +85,33 @@ def check_path(
     return knots, path
 
 
-def start_notices(body: Body) -> list[Fault]:
-    """Return a warning about springs whose ends coincide at the start."""
-    springs = body.springs
-    gaps = body.positions[springs.ends[:, 1]] - body.positions[springs.ends[:, 0]]
-    coincident_count = int(((gaps == 0).all(axis=1) & (springs.rest > 0)).sum())
-    if not coincident_count:
+def coincident_notices(
+    ends: IntArray,
+    rest_lengths: FloatArray,
+    points: FloatArray,
+    prefix: str = "",
+    where: str | None = None,
+) -> list[Fault]:
+    """Return a warning if ends of springs ``(S, 2)`` coincide at points (SIM140).
+
+    Springs of rest length 0 do not count.
+
+    >>> ends, points = np.array([[0, 1], [1, 2]]), np.array([[0.0], [0.0], [1.0]])
+    >>> (notice,) = coincident_notices(ends, np.ones(2), points)
+    >>> notice.message.partition(" are")[0]
+    'the ends of 1 of 2 springs'
+    """
+    i, j = ends.T
+    is_coincident = (points[i] == points[j]).all(axis=1) & (rest_lengths > 0)
+    count = int(is_coincident.sum())
+    if not count:
         return []
     subject = (
-        "every spring"
-        if coincident_count == len(gaps)
-        else f"{coincident_count} of {len(gaps)} springs"
+        "every spring" if count == len(ends) else f"{count} of {len(ends)} springs"
     )
-    message = f"the ends of {subject} are at the same position: without a direction "
-    message += "they have no effect until something separates them"
-    return [warning("SIM140", message, None, "body")]
+    message = f"{prefix}the ends of {subject} are at the same position: without a "
+    message += "direction they have no effect until something separates them"
+    return [warning("SIM140", message, None, where)]
 
 
 def _row_faults(

@@ -34,7 +34,7 @@ from animtool.systems.springs.checks import (
     check_body,
     check_path,
     check_self_contact,
-    start_notices,
+    coincident_notices,
     tangle_notices,
     thickness_notices,
 )
@@ -514,7 +514,11 @@ class SpringSystem(SecondOrder):
 
     def notices(self) -> list[Fault]:
         """Return warnings about the initial state and teleports."""
-        notices = start_notices(self.body) + self.colliders.notices()
+        springs, positions = self.body.springs, self.body.positions
+        notices = coincident_notices(
+            springs.ends, springs.rest, positions, where="body"
+        )
+        notices += self.colliders.notices()
         if self.self_contact is not None:
             notices += thickness_notices(self.self_contact, self.body)
             notices += tangle_notices(self.body.positions, self.body.triangles)

@@ -16,6 +16,8 @@ from support.attached import (
     take_of,
 )
 
+from animtool.maths import so3
+from animtool.motion.motion import Channel
 from animtool.motion.take import Take
 from animtool.rig.parts import Capsule, Collider, LoadedArray, Mesh, Skin
 from animtool.rig.skeleton import Joint, JointType, Rig
@@ -85,6 +87,45 @@ def test_a_finger_between_the_points_of_coarse_cloth_does_not_pierce_it(
 ) -> None:
     _, codes = blown(posted(size=size, wide=(0.016, 0.016), place=place))
     assert not {"SIM180", "SIM181", "SIM182"} & set(codes)
+
+
+def folded(size: int, middle: float) -> Take:
+    """Return a take of a plate behind a sheet, which folds to a ridge towards it."""
+    rig = sheet_rig(size)
+    across = np.array([-0.12, -0.015, 0, 0.015, 0.12])
+    loop = np.append(across, across[::-1]) + middle
+    depths = np.repeat([-0.06, -0.08], len(across))
+    levels, count = np.linspace(-0.28, -0.06, 12), len(loop)
+    points = np.stack([np.tile(loop, 12), levels.repeat(count), np.tile(depths, 12)], 1)
+    k = np.arange((len(levels) - 1) * count)
+    following = k // count * count + (k + 1) % count
+    faces = np.stack([k, following, following + count, k + count], axis=1)
+    sides = np.tile([0.0, 0, 2, 1, 1, 1, 1, 2, 0, 0], len(levels))[:, None]
+    every = LoadedArray(np.ones((len(points), 1)))
+    skin = Skin("linear", ("left", "right", "post"), LoadedArray(sides), every)
+    mesh = Mesh(
+        "plate", LoadedArray(points), LoadedArray(faces.astype(float)), skin=skin
+    )
+    hinge = (middle, -0.15, -0.06)
+    halves = [Joint(n, 0, JointType.BALL, translation=hinge) for n in skin.joints[:2]]
+    joints, meshes = (*rig.joints, *halves), (*rig.meshes, mesh)
+    take = take_of(replace(rig, joints=joints, meshes=meshes), 24, 1.0)
+    rotations, t = take.motion.rotations.dense(), np.arange(take.clock.count) / 24
+    angles = np.radians(75) * np.clip(t / 0.4, 0, 1)[:, None] * [0, 1.0, 0]
+    rotations[:, 1], rotations[:, 2] = so3.exp(-angles), so3.exp(angles)
+    channel = Channel.from_dense(rotations)
+    return replace(take, motion=replace(take.motion, rotations=channel))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("size", "middle"), [(4, 0.14), (5, 0.11), (6, 0.14)])
+def test_a_skin_that_folds_after_the_first_pose_does_not_pierce_coarse_cloth(
+    size: int, middle: float
+) -> None:
+    found, codes = simulated(folded(size, middle), settle=0.3, wind=(0.0, 0.0, -8.0))
+    assert codes == ["SIM130"]
+    # It hangs down on both sides of the ridge.
+    assert moved(found)[-1, :, 2].min() < -0.07
 
 
 def test_without_it_cloth_goes_through() -> None:
