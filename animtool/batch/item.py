@@ -43,6 +43,11 @@ if TYPE_CHECKING:
     from animtool.scene.scene import Scene
 
 
+# Other programs' names of a file's name without its ending, and of its folder.
+OTHER_NAMES = {
+    **dict.fromkeys(("base", "basename", "file", "filename", "take"), "stem"),
+    **dict.fromkeys(("dir", "dirname", "directory", "path"), "folder"),
+}
 INPUT_NAMES = ("input", "folder", "name", "parent", "stem")
 # Names whose values are folders, with which a pattern may begin to write next to the
 # inputs.
@@ -98,10 +103,10 @@ def pattern_problems(
     for name, format_spec, conversion in name_fields:
         if name is not None and (format_spec or conversion or name not in known_names):
             quoted_name = f"{{{name}}}" if name or not format_spec else "{}"
-            yield (
-                f"unknown name in {pattern!r}: {quoted_name}",
-                name_hint(name, known_names),
-            )
+            hint = name_hint(name, known_names)
+            if name in OTHER_NAMES:
+                hint = f"write {{{OTHER_NAMES[name]}}}; names: {', '.join(known_names)}"
+            yield f"unknown name in {pattern!r}: {quoted_name}", hint
 
 
 def output_root(pattern: str) -> PurePath:

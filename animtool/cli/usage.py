@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 import re
 import shlex
 from collections.abc import Iterator
@@ -167,7 +168,7 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
     if not fault.code.startswith("IO") or fault.where or fault.path is None:
         return fault
     if _NUMBER.fullmatch(fault.path):
-        return replace(fault, hint=_number_hint(context) or fault.hint)
+        return replace(fault, hint=_number_hint(context, fault.path) or fault.hint)
     swapped_option = _option_with_file(context)
     if swapped_option is not None and not Path(fault.path).exists():
         flag, file = swapped_option
@@ -177,9 +178,33 @@ def with_option(fault: Fault, context: click.Context) -> Fault:
     for option in _command_options(context.command):
         value = context.params.get(str(option.name))
         if isinstance(value, Path) and str(value) == fault.path:
+            words = context.meta.get(ARGUMENTS_KEY, ())
+            flag = next((f for f in option.opts if f in words), option.opts[0])
             hint = fault.hint or (None if value.suffix else "it takes a file")
-            return replace(fault, where=option.opts[0], hint=hint)
+            likely_file = (
+                None if value.suffix else _file_of_name(context, option, value)
+            )
+            if likely_file is not None:
+                hint = f"write {flag} {likely_file}"
+            return replace(fault, where=flag, hint=hint)
     return fault
+
+
+def _file_of_name(
+    context: click.Context, option: click.Parameter, name: Path
+) -> Path | None:
+    """Return the file that a bare name likely means, such as a rig of the sample."""
+    inputs = [v for v in context.params.values() if isinstance(v, Path) and v != name]
+    folders = [Path(), *(path.parent for path in inputs if path.is_file())]
+    folders += [folder.parent for folder in folders[1:]]
+    file_name = f"{glob.escape(name.name)}.{option.name}.yaml"
+    files = (
+        file
+        for folder in folders
+        for pattern in (file_name, f"*/{file_name}")
+        for file in sorted(folder.glob(pattern))
+    )
+    return next(files, None)
 
 
 def _option_with_file(context: click.Context) -> tuple[str, str] | None:
@@ -207,14 +232,19 @@ def _swapped_command(context: click.Context, first: str, second: str) -> str:
     return f"{context.command_path} {shlex.join(words)}"
 
 
-def _number_hint(context: click.Context) -> str | None:
+def _number_hint(context: click.Context, number: str) -> str | None:
     """Return a hint if numbers after an option were split at a space, else None."""
     for option in _command_options(context.command):
         name = str(option.name)
         example = _EXAMPLE_BY_METAVAR.get(str(option.metavar))
         if example and context.get_parameter_source(name) in _EXPLICIT_SOURCES:
             flag = option.opts[-1]
-            return f"a value of {flag} has no spaces: {flag} {example}"
+            words = [*context.meta.get(ARGUMENTS_KEY, ())]
+            k = words.index(number) if number in words else 0
+            if k > 1 and words[k - 2] in option.opts:
+                separator = "," if "," in example else "-"
+                example = f"{words[k - 1]}{separator}{number}"
+            return f"a value of {flag} has no spaces: write {flag} {example}"
     return None
 
 

@@ -178,10 +178,41 @@ class CurveReader:
         for k, previous in self.document.unordered_entries(
             (*self.location, "keys"), times.tolist(), "t"
         ):
+            if self._is_misplaced(times, previous, k):
+                self._add_misplaced_key(times, previous, k)
+                continue
             message = f"frame {times[k]:g} comes before the key at {times[previous]:g}"
             if times[k] == times[previous]:
                 message = f"frame {times[k]:g} appears twice"
             self._add("CLIP004", ("keys", k, "t"), message, "key times must ascend")
+
+    def _is_misplaced(self, times: FloatArray, k: int, following: int) -> bool:
+        """Return whether a key, not the one after it, is at the wrong time.
+
+        Without it the keys around it ascend; and the next but one is before it too, or
+        the range of the clip ends before it.
+        """
+        if k and not times[k - 1] < times[following]:
+            return False
+        is_outside = False
+        match self.document.value.get("range"):
+            case [int() | float() as first, int() | float() as last]:
+                is_outside = bool(first < last < times[k])
+        later_times = times[following + 1 : following + 2]
+        return is_outside or bool((later_times < times[k]).any())
+
+    def _add_misplaced_key(self, times: FloatArray, k: int, following: int) -> None:
+        """Record a key that is later than the one after it."""
+        message = (
+            f"frame {times[k]:g} comes after the next key, at {times[following]:g}"
+        )
+        hint = f"write a frame before {times[following]:g}"
+        if k:
+            hint = f"write a frame between {times[k - 1]:g} and {times[following]:g}"
+            likely_frame = times[k] / 10
+            if times[k - 1] < likely_frame < times[following]:
+                hint += f", such as {likely_frame:g}"
+        self._add("CLIP004", ("keys", k, "t"), message, hint)
 
     def _add_time_fault(self, keys: PlainKeys) -> None:
         """Record the first invalid time of an array of keys."""

@@ -378,11 +378,11 @@ def read_text(path: Path) -> str:
         message = f"byte {data[error.start]:#04x} is not UTF-8"
         hint = "is it a text file? if so, save it as UTF-8"
         lines: tuple[int, ...] = (line,)
-        signature = signature_of(data[:HEAD_BYTES])
         if data.startswith((b"\xff\xfe", b"\xfe\xff")):
             message = "the file is UTF-16, as PowerShell's > writes it"
             hint = "save it as UTF-8"
-        elif signature is not None or b"\0" in data[:HEAD_BYTES]:
+        elif b"\0" in data[:HEAD_BYTES]:
+            signature = signature_of(data[:HEAD_BYTES])
             kind = "binary" if signature is None else signature.format_name
             message, lines = f"is {kind}, not text", ()
             hint = "is it in the place of another input?"

@@ -9,6 +9,7 @@ from fractions import Fraction
 from animtool.core.arguments import argument
 from animtool.core.clock import MAX_FRAMES, Clock
 from animtool.core.errors import Fault, OptionError, value_excerpt
+from animtool.core.shot import SHOT_START
 
 
 def exact_fraction(number: float, argument_name: str) -> Fraction:
@@ -63,9 +64,22 @@ def frame_index(clock: Clock, frame: float, argument_name: str) -> int:
             f"{argument_name} is frame {frame:g}, but the take has "
             f"{float(clock.start):g}-{float(last):g}",
             seconds_hint({argument_name: frame}, clock.start, clock.fps, last)
+            or _shot_hint(clock, exact_fraction(frame, argument_name), argument_name)
             or f"write {argument(argument_name, f'{float(nearest):g}')}",
         )
     return index
+
+
+def _shot_hint(clock: Clock, frame: Fraction, name: str) -> str | None:
+    """Return a hint about a shot's frame in a take that starts elsewhere, or None."""
+    frame_in_take = frame - SHOT_START + clock.start
+    last = clock.start + (clock.count - 1) * clock.step
+    if not clock.start < SHOT_START <= frame or frame_in_take > last:
+        return None
+    option = argument(name, f"{float(frame_in_take):g}")
+    return (
+        f"the take starts at {float(clock.start):g}, not {SHOT_START}: write {option}"
+    )
 
 
 def seconds_hint(

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import field, replace
 
-from animtool.core.errors import counted, cycle_text
+from animtool.core.errors import counted, cycle_text, listed
 from animtool.core.names import name_hint
 from animtool.core.quantities import length_text
 from animtool.core.record import dataclass
@@ -429,16 +429,35 @@ def _check_mimic_chains(
 ) -> None:
     """Record a fault for a mimic of a mimic, and thereby for cycles."""
     mimic_names = {joint.name for joint in joints if joint.mimic}
+    reported_names: set[str] = set()
     for joint in joints:
         if joint.mimic and joint.mimic.joint in mimic_names:
             entry = entry_by_name[joint.name]
             if not entry.is_mirrored:
                 message = f"{joint.mimic.joint!r} is a mimic itself"
+                hint = "name the joint that is keyed"
+                cycle = _mimic_cycle(joints, joint.name)
                 if joint.mimic.joint == joint.name:
                     message = f"{joint.name!r} follows itself"
-                hint = "name the joint that is keyed"
+                elif cycle:
+                    if cycle & reported_names:
+                        continue
+                    reported_names |= cycle
+                    message = f"{listed(sorted(cycle))} mimic each other"
+                    hint = "remove one mimic: that joint is keyed then"
                 location = ("joints", entry.index, "mimic", "joint")
                 document.add("RIG009", location, message, hint)
+
+
+def _mimic_cycle(joints: Sequence[Joint], name: str) -> set[str]:
+    """Return the joints that mimic each other in a cycle with one; else none."""
+    sources = {joint.name: joint.mimic.joint for joint in joints if joint.mimic}
+    cycle = {name}
+    source = sources.get(name)
+    while source is not None and source not in cycle:
+        cycle.add(source)
+        source = sources.get(source)
+    return cycle if source == name else set()
 
 
 def unit_quaternion(

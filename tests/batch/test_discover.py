@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -209,11 +210,12 @@ def test_variables_that_nothing_uses(takes: Path, name: str) -> None:
     assert error.value.code == "SCN031"
 
 
-def test_a_name_in_the_output_that_there_is_none_of(takes: Path) -> None:
+@pytest.mark.parametrize("name", ["stm", "basename", "filename"])
+def test_a_name_in_the_output_that_there_is_none_of(takes: Path, name: str) -> None:
     with pytest.raises(OptionError) as error:
-        made(takes, "takes", output="{stm}.usdc")
+        made(takes, "takes", output=f"{{{name}}}.usdc")
     assert error.value.code == "BAT004"
-    assert "stem" in str(error.value)
+    assert re.search("write {stem}|'stem'", str(error.value))
 
 
 @pytest.mark.parametrize(

@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import importlib
 import json
 import os
 import subprocess
@@ -9,9 +8,7 @@ from pathlib import Path
 
 import pytest
 from support.cli import animtool, animtool_process
-from support.printed import ROOT
 
-from animtool.__main__ import PLUGIN_LOADER, NoPlugins
 from animtool.cli.console import Console
 from animtool.cli.main import COMMANDS, COMMANDS_WITHOUT_USD
 from animtool.core.errors import ExitCode, Fault, Severity
@@ -273,21 +270,3 @@ def test_an_interrupt_while_loading_is_one() -> None:
         [sys.executable, "-P", "-c", code], capture_output=True, text=True, check=False
     )
     assert (done.returncode, done.stderr) == (130, "interrupted\n")
-
-
-def test_no_plug_ins_of_pydantic_are_searched_for() -> None:
-    rig = ROOT / "rigs" / "ball" / "ball.rig.yaml"
-    command = [sys.executable, "-X", "importtime", "-m", "animtool", "validate", rig]
-    done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert "pydantic_core" in done.stderr
-    assert "importlib.metadata" not in done.stderr
-
-
-def test_other_names_of_the_loader_of_plug_ins_are_those_of_pydantic(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setitem(sys.modules, PLUGIN_LOADER, NoPlugins(PLUGIN_LOADER))
-    loader = importlib.import_module(PLUGIN_LOADER)
-    assert (type(loader), loader.get_plugins()) == (NoPlugins, ())
-    assert loader.PYDANTIC_ENTRY_POINT_GROUP == "pydantic"
-    assert type(importlib.import_module(PLUGIN_LOADER)) is not NoPlugins

@@ -121,14 +121,19 @@ def test_landmarks_seen_in_a_mirror_are_named(tmp_path: Path, landmarks: Path) -
         "centre: [320, 240], size: [640, 480], rotation: [1, 0, 0, 0], "
         "translation: [0, 0, 0]}\n"
     )
-    for name, sign in (("seen", 1), ("mirrored", -1)):
-        pixels = np.stack([320 + sign * u, 240 - v], axis=-1)
+    for name, sign, v_sign, hint in (
+        ("seen", 1, -1, ""),
+        ("mirrored", -1, -1, "width of the image minus u"),
+        ("v up", 1, 1, "height of the image minus v"),
+    ):
+        pixels = np.stack([320 + sign * u, 240 + v_sign * v], axis=-1)
         np.savez(landmarks, landmarks_px=pixels, **arrays)
         camera = ("--camera", tmp_path / "a.cameras.yaml")
         command = ("mocap", "face", landmarks, *RIG, *OWN, *camera)
         done = animtool(*command, "-o", tmp_path / f"{name}.usdc")
         assert done.code == 0, done.stderr
-        assert ("FAC112" in done.stderr) == (sign < 0), done.stderr
+        assert ("FAC112" in done.stderr) == bool(hint), done.stderr
+        assert hint in done.stderr
 
 
 def test_landmarks_without_positions_on_the_rig(root: Path, tmp_path: Path) -> None:

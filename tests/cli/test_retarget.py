@@ -254,3 +254,17 @@ def test_a_file_that_cannot_be_read_is_named_by_its_option(walk: Path) -> None:
         3,
         "W: IO001 --map: does not exist; it takes a file\n",
     )
+
+
+def test_a_rig_without_its_folder_and_suffix_is_found(
+    root: Path, tmp_path: Path
+) -> None:
+    walk, rigs = tmp_path / "walk.bvh", tmp_path / "rigs"
+    shutil.copyfile(root / WALK, walk)
+    rigs.mkdir()
+    shutil.copyfile(root / "rigs/ball/ball.rig.yaml", rigs / "ball.rig.yaml")
+    done = animtool("retarget", walk, "--to", "ball")
+    assert done.code == 3
+    assert f"IO001 --to: does not exist; write --to {rigs / 'ball.rig.yaml'}" in (
+        done.stderr
+    )

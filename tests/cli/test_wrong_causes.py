@@ -294,3 +294,19 @@ def test_a_key_of_another_list_is_named(root: Path, tmp_path: Path) -> None:
     done = animtool("retarget", root / WALK, *arguments)
     assert "DOC020" in done.stderr
     assert "write it there" not in done.stderr
+
+
+def test_a_range_with_a_space_is_joined(workplace: Path) -> None:
+    done = animtool("bake", WALK, "-o", "o.usda", "--range", 11, 48, cwd=workplace)
+    assert done.code == 3
+    assert "write --range 11-48" in done.stderr
+
+
+def test_joints_that_mimic_each_other_are_one_fault(workplace: Path) -> None:
+    left = "{name: a, parent: base, type: pin, axis: [0, 0, 1], mimic: {joint: b}}"
+    right = left.replace("name: a", "name: b").replace("joint: b", "joint: a")
+    (workplace / "grip.rig.yaml").write_text(
+        "rig: animtool/1\nname: grip\njoints:\n- {name: base, type: fixed}\n"
+        f"- {left}\n- {right}\n"
+    )
+    assert faults(workplace, "validate", "grip.rig.yaml", code=1) == [("RIG009", 5)]

@@ -74,6 +74,17 @@ def test_a_first_frame_in_seconds(first: float, hint: str | None) -> None:
 
 
 @pytest.mark.parametrize(
+    ("frame", "hint"), [(1001, "write first=1"), (1033, "write first=33")]
+)
+def test_a_frame_of_a_shot(frame: float, hint: str) -> None:
+    clock = Clock(Fraction(30), Fraction(1), Fraction(1), 64)
+    with pytest.raises(OptionError) as error:
+        frame_index(clock, frame, "first")
+    assert error.value.code == "SCN013"
+    assert str(error.value.faults[0].hint).endswith(f"not 1001: {hint}")
+
+
+@pytest.mark.parametrize(
     ("options", "code"),
     [
         ({"first": 99}, "SCN013"),

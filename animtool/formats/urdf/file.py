@@ -147,7 +147,7 @@ def _warn_about_degrees(root: XmlElement, diagnostics: XmlDiagnostics) -> None:
     element, name, value = degree_angles[0]
     message = f"{counted(len(degree_angles), 'angle')} beyond two revolutions in "
     message += f"radians, such as {name} {value:g} of <{element.tag}>"
-    hint = f"URDF has radians: {value:g} degrees are {math.radians(value):.6g}"
+    hint = f"URDF angles are in radians: write {math.radians(value):.6g} for {value:g}°"
     diagnostics.add("URD111", element, message, hint, severity=Severity.WARNING)
 
 

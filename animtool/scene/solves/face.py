@@ -172,7 +172,10 @@ def solve_face(job: FaceJob, *, progress: Progress = None) -> FaceResult:
             camera=camera,
             progress=progress,
         )
-        mirror_warnings = _mirror_warnings(job.options, rig_face, fit, points, camera)
+        up = np.array(rig.up.vector, np.float64)
+        mirror_warnings = _mirror_warnings(
+            job.options, rig_face, fit, points, camera, up
+        )
         neutral_warnings = []
         if not mirror_warnings:
             neutral_warnings = _neutral_warnings(job.options, rig_face, fit, points)
@@ -323,10 +326,12 @@ def _mirror_warnings(
     fit: FaceFit,
     points: FloatArray,
     camera: FloatArray | None,
+    up: FloatArray,
 ) -> list[Fault]:
     """Return a warning if landmarks fit much better mirrored (FAC112).
 
-    ``points`` are landmarks ``(F, N, 3)`` [m], or pixels ``(F, N, 2)`` of a camera.
+    ``points`` are landmarks ``(F, N, 3)`` [m], or pixels ``(F, N, 2)`` of a camera;
+    ``up`` ``(3,)`` is the up axis of the face at rest.
     """
     is_close = fit.rms < MIN_MIRRORED_RMS * rig_face.size
     if camera is None and options.neutral is None and is_close:
@@ -356,6 +361,12 @@ def _mirror_warnings(
     hint = "negate x of the landmarks"
     if camera is not None:
         hint = "write the width of the image minus u"
+        if _is_upside_down(rig_face, points, up):
+            message += "; the face is upside down in the image"
+            hint = (
+                "write the height of the image minus v, as v counts from the upper edge"
+            )
+            return [warning("FAC112", message, hint)]
     if pair_sides(rig_face.names).left:
         hint += ", or exchange the names of left and right landmarks"
     return [warning("FAC112", message, hint)]
@@ -422,3 +433,16 @@ def _head_translations(
     shift = head_offsets + fit.translations - joint_position
     root_translations = rig.rest_translations[root_index] + shift
     return translations.put(np.array([root_index]), root_translations[:, None]), []
+
+
+def _is_upside_down(rig_face: FaceModel, pixels: FloatArray, up: FloatArray) -> bool:
+    """Return whether the upper landmarks of a face are the lower ones in images.
+
+    ``pixels`` are ``(F, N, 2)``, with v from the upper edge.
+    """
+    rows = pixels[..., 1]
+    is_seen = np.isfinite(rows).all(axis=1)
+    if not is_seen.any():
+        return False
+    rows, heights = rows[is_seen].mean(axis=0), rig_face.neutral @ up
+    return float((rows - rows.mean()) @ (heights - heights.mean())) > 0.0

@@ -267,7 +267,10 @@ def _speed_problems(species: SpeciesModel, location: str) -> Iterator[Problem]:
     if speed.most is not None and speed.least > speed.most:
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         message += f"speed.most, {speed.most:g}"
-        yield message, f"{location}.speed.least", "lower least, or raise most"
+        hint = "lower least, or raise most"
+        if speed.most <= speed.cruise <= speed.least:
+            hint = f"write least: {speed.most:g} and most: {speed.least:g}"
+        yield message, f"{location}.speed.least", hint
     elif speed.least > speed.cruise:
         message = f"speed.least of {species.name!r} is {speed.least:g} m/s, above "
         hint = "lower least, or raise cruise"

@@ -179,7 +179,8 @@ class _SystemBuilder:
         gap, size = bodies.surface_distance(carrier, points)
         if gap > size:
             message = f"pins of {name} start {length_text(gap)} from the surface of "
-            message += f"{carrier.body!r}, which has a size of {length_text(size)}: "
+            message += f"{carrier.body!r}, whose points are within {length_text(size)} "
+            message += "of its centre: "
             message += "it is moved as by a rigid arm"
             hint = "place the particles at the body, or give the pin an offset"
             self._notices.append(warning("SIM160", message, hint, carrier.where))
