@@ -220,8 +220,8 @@ def _numbers_in(clip: Clip, units_with_nan: ClipUnits) -> Iterator[float]:
     for channel in clip.channels:
         if math.isnan(units_with_nan.unit_of(channel.target, channel.euler)):
             yield from channel.values.ravel().tolist()
-            yield from channel.ins[:, 1:].ravel().tolist()
-            yield from channel.outs[:, 1:].ravel().tolist()
+            yield from channel.in_handles[:, 1:].ravel().tolist()
+            yield from channel.out_handles[:, 1:].ravel().tolist()
 
 
 def _round_trips(values: Iterable[float], unit: float) -> bool:
@@ -265,7 +265,10 @@ def _key_entries(
     yield f"v: {_value_text(numbers, unit)}"
     if channel.interps[key_index] is not interp:
         yield f"interp: {channel.interps[key_index]}"
-    handles = (channel.ins[key_index].tolist(), channel.outs[key_index].tolist())
+    handles = (
+        channel.in_handles[key_index].tolist(),
+        channel.out_handles[key_index].tolist(),
+    )
     for name, handle_tangent, (dt, *dv) in zip(
         ("in", "out"), channel.tangents[key_index], handles, strict=True
     ):

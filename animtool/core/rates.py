@@ -113,11 +113,11 @@ def rate_from_frame_time(text: str) -> RateChoice:
         other_rates = () if exact_rate in common_rates else tuple(common_rates)
         return RateChoice(exact_rate, RateKind.REPRINTED, other_rates)
     if matching_rates:
-        best_integer = min(
+        best_integer_rate = min(
             common_rates or matching_rates, key=lambda n: abs(n - exact_rate)
         )
-        other_rates = tuple(n for n in matching_rates if n != best_integer)
-        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, other_rates)
+        other_rates = tuple(n for n in matching_rates if n != best_integer_rate)
+        return RateChoice(Fraction(best_integer_rate), RateKind.REPRINTED, other_rates)
 
     broadcast_counts = _adjacent_integers(exact_rate * 1001 / 1000)
     candidates = [Fraction(n) for n in _adjacent_integers(exact_rate)]

@@ -26,7 +26,7 @@ MAX_NAME_BYTES = 255
 MAX_COUNT = 65535
 MAX_CAMERAS = 7
 # Bytes before the parameters: first block, number of blocks, and processor.
-_PARAMETER_HEAD_BYTES = 4
+_PARAMETER_HEADER_BYTES = 4
 # Maximum parameter blocks, counted in a byte.
 MAX_BLOCKS = 255
 # Steps of a residual, which is a byte; 0 means that a point was not measured.
@@ -62,18 +62,18 @@ def write_c3d(
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    head = _build_head(markers, path)
-    write_parts(path, _file_chunks(markers, head))
+    header_bytes = _build_header(markers, path)
+    write_parts(path, _file_chunks(markers, header_bytes))
     return _data_loss_notice(markers, str(path))
 
 
-def _build_head(markers: Markers, path: Path) -> bytes:
+def _build_header(markers: Markers, path: Path) -> bytes:
     """Return the bytes of header and parameters."""
     frame_count, marker_count = markers.positions.shape[:2]
     block_count = 1
     # The parameters contain the start of the data, so their size is needed first.
     parameters = _build_parameters(markers, 2 + block_count)
-    block_count = -(-(_PARAMETER_HEAD_BYTES + len(parameters)) // BLOCK_BYTES)
+    block_count = -(-(_PARAMETER_HEADER_BYTES + len(parameters)) // BLOCK_BYTES)
     if (
         not 0 < marker_count <= MAX_COUNT
         or block_count > MAX_BLOCKS
@@ -210,9 +210,9 @@ def _filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
     return spans
 
 
-def _file_chunks(markers: Markers, head: bytes) -> Iterator[bytes]:
-    yield head
-    written_bytes = len(head)
+def _file_chunks(markers: Markers, header_bytes: bytes) -> Iterator[bytes]:
+    yield header_bytes
+    written_bytes = len(header_bytes)
     for begin in range(0, len(markers), BLOCK_FRAMES):
         frame_bytes = _frame_rows(markers, slice(begin, begin + BLOCK_FRAMES))
         written_bytes += len(frame_bytes)

@@ -21,7 +21,7 @@ from animtool.core.options import (
     options_of,
 )
 from animtool.core.rates import OptionalFraction, rate_option, rate_warning
-from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
+from animtool.core.readers import READERS, RIG_AND_CLIP_FILES, USD, find_reader
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import LengthUnit, UpAxis, unit_name
@@ -369,7 +369,7 @@ def open_source(
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
     # Keys of a clip are evaluated together with the tracks they drive.
-    return stream if reader is DOCUMENT else _drive_tracks(stream)
+    return stream if reader is RIG_AND_CLIP_FILES else _drive_tracks(stream)
 
 
 def open_checked(

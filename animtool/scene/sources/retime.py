@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.timecode import parse_timecode
 from animtool.edit.between import TakeSampler
-from animtool.edit.travel import nearby_positions
+from animtool.edit.travel import frame_positions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 
@@ -122,7 +122,7 @@ def _retime_stream(
         step=step,
         curve=None if curve is None else sample_shifted,
         control_curves={
-            name: curves.with_linear_time(first_code, float(1 / ratio), origin)
+            name: curves.retimed(first_code, float(1 / ratio), origin)
             for name, curves in stream.control_curves.items()
             if ratio > 0
         },
@@ -150,7 +150,7 @@ def _hold_pose(stream: TakeStream, shot: Shot) -> TakeStream:
     if not 0 <= sample_index < take.clock.count:
         take_seconds = take.clock.count / take.clock.rate
         raise no_frames_error(shot, shot.start, shot.end, take_seconds)
-    position = nearby_positions([float(sample_index)], take.clock.count)
+    position = frame_positions([float(sample_index)], take.clock.count)
     pose = TakeSampler.from_take(take).sample(position)
     return replace(
         stream,

@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 CACHED_TIME_COUNT = 4
 
 
-def moving_sheet(mesh: MovingMeshModel) -> Sheet:
-    """Return a mesh of a USD file as a moving sheet; its path must be absolute."""
+def animated_surface(mesh: MovingMeshModel) -> Sheet:
+    """Return a USD mesh as an animated surface; the file path must be absolute."""
     from animtool.usd.caches.reader import open_mesh
 
     motion = _MeshMotion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
@@ -215,5 +215,5 @@ class Surroundings:
             }
             sheet_values |= {"radius": surface.radius, "closed": surface.closed}
             sheets.append(record_from_model(Sheet, surface_entry, **sheet_values))
-        sheets += [*map(moving_sheet, self.meshes), *skins]
+        sheets += [*map(animated_surface, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

@@ -257,16 +257,16 @@ def warn_of_weak_gravity(
     document: Document,
     location: Location,
     spec: Any,
-    parts: Mapping[str, Any],
+    entry_data: Mapping[str, Any],
     seconds: float,
 ) -> None:
     """Warn of an N-body system whose mutual gravity has no visible effect (SIM200).
 
-    The lengths of its spec are in metres; ``parts`` are its parsed entries, by key, and
+    The lengths of its spec are in metres; ``entry_data`` has its parsed entries; and
     ``seconds`` is the time from the first to the last frame [s].
     """
     constant = float(spec.gravity_constant)
-    mass, distance, acceleration = _strongest_gravity(spec, parts)
+    mass, distance, acceleration = _strongest_gravity(spec, entry_data)
     if not constant * acceleration * distance > 0:
         return  # nothing attracts, or arrays that are refused are not finite
     seconds = max(seconds, MIN_SECONDS)
@@ -288,7 +288,7 @@ def warn_of_weak_gravity(
 
 
 def _strongest_gravity(
-    spec: Any, parts: Mapping[str, Any]
+    spec: Any, entry_data: Mapping[str, Any]
 ) -> tuple[float, float, float]:
     """Return the total mass, and the distance and acceleration of the largest effect.
 
@@ -296,7 +296,9 @@ def _strongest_gravity(
     """
     extremes = []
     points, masses = [np.zeros((0, 3))], [np.zeros(0)]
-    for body, entry_arrays in zip(spec.bodies, parts.get("bodies") or (), strict=False):
+    for body, entry_arrays in zip(
+        spec.bodies, entry_data.get("bodies") or (), strict=False
+    ):
         body_points = np.asarray((entry_arrays or {}).get("points", ()), np.float64)
         if body_points.shape[1:] != (3,):
             continue  # refused when the system is built

@@ -114,7 +114,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         subject.bind_positions,
         subject.rest_positions,
     )
-    mean_distance = float(
+    centroid_distance = float(
         np.linalg.norm(bind_positions.mean(axis=0) - rest_positions.mean(axis=0))
     )
     parents = rig.parents
@@ -144,10 +144,10 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         )
         yield subject.fault("MOT220", joint, None, message, hint)
         return
-    if mean_distance > MAX_BIND_DISTANCE * subject.size:
+    if centroid_distance > MAX_BIND_DISTANCE * subject.size:
         message = (
-            f"the bind pose is {mean_distance:.3g} m from the rest pose, of a skeleton "
-            f"that spans {subject.size:.3g} m"
+            f"the bind pose is {centroid_distance:.3g} m from the rest pose, of a "
+            f"skeleton that spans {subject.size:.3g} m"
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
         return

@@ -14,7 +14,6 @@ from animtool.core.readers import (
     ARRAYS,
     BVH,
     C3D,
-    DOCUMENT,
     EXPORT_HINTS,
     FBX,
     GLTF,
@@ -22,6 +21,7 @@ from animtool.core.readers import (
     MJCF,
     MOT,
     READERS,
+    RIG_AND_CLIP_FILES,
     STO,
     TRC,
     URDF,
@@ -128,7 +128,7 @@ DOCUMENT_SUFFIXES = tuple(
     f".{kind}{suffix}"
     for kind in sorted(_DOCUMENT_KINDS)
     for suffix, reader in READERS.items()
-    if reader is DOCUMENT
+    if reader is RIG_AND_CLIP_FILES
 )
 _SEARCHED_READERS = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
 INPUT_SUFFIXES = (
@@ -181,7 +181,7 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     ``values``: batch values of the variables of a scene.
     """
     reader = reader_of(path)
-    if reader is DOCUMENT:
+    if reader is RIG_AND_CLIP_FILES:
         document = read_document(path)
         if has_kind_suffix(path, "cameras") and not isinstance(
             document.value.get("cameras", ""), str
