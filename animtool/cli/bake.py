@@ -163,7 +163,7 @@ def bake(
 
 
 def _refuse_swapped_pair(first: Path, second: Path) -> None:
-    """Refuse an output in front of its source: a missing file, and one that exists."""
+    """Refuse two swapped arguments: a missing output, then a source that exists."""
     is_output = writer_of(first) is not None and is_missing_input(first)
     if is_output and not is_missing_input(second):
         names = shlex.quote(str(second)), shlex.quote(str(first))
@@ -225,7 +225,7 @@ def _print_plan(console: Console, request: BakeRequest, params: dict[str, Any]) 
 def _bake_outputs(
     console: Console, request: BakeRequest, params: dict[str, Any], *, is_stdout: bool
 ) -> None:
-    """Bake all outputs of an request, unless existing ones are skipped, and report."""
+    """Bake all outputs of a request, unless existing ones are skipped, and report."""
     from animtool.scene.bake.bake import run_request
 
     scene, files = request.scene, request.source_set.files

@@ -72,22 +72,22 @@ class RateKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """The rate inferred from a printed frame time, and which others print equally."""
+    """The rate inferred from a printed frame time, and others with the same text."""
 
     fps: Fraction  # exact frames per second
     # ``reprinted``: the reciprocal rounds to the printed time; ``nearest``: the closest
     # common rate; ``printed``: the printed number as it is.
     kind: RateKind
-    ambiguous_rates: tuple[int, ...] = ()  # other integer rates that print equally
+    ambiguous_rates: tuple[int, ...] = ()  # other integer rates with the same text
 
 
 def rate_from_frame_time(text: str) -> RateChoice:
     """Return the rate of a printed frame time [s].
 
-    An integer whose reciprocal, rounded to the printed digits, equals the printed value
-    (of several, the exact one, else a common one, else the nearest); else the nearest
-    of the integers 1 to 1000 and N·1000/1001 within 2.5e-4; else the reciprocal of the
-    printed decimal.
+    The rate is the integer whose reciprocal, rounded to the printed digits, equals the
+    printed value; of several, the exact one, else a common one, else the nearest. If
+    there is none, it is the nearest of the integers 1 to 1000 and N·1000/1001 within
+    2.5e-4, else the reciprocal of the printed decimal.
 
     >>> str(rate_from_frame_time("0.0333333").fps)
     '30'
@@ -150,8 +150,9 @@ def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
 def rate_from_float(fps: float) -> Fraction:
     """Return the exact rate that a float in file metadata approximates.
 
-    An integer or N·1000/1001 if the float equals one of them to 5e-6, or is the usual
-    decimal for one; else the float's exact value rounded to a denominator below 1e6.
+    The rate is an integer or N·1000/1001 if the float equals one of them to 5e-6, or is
+    the usual decimal for one. Otherwise it is the float's exact value, rounded to a
+    denominator below 1e6.
 
     >>> rate_from_float(23.976023976023978)
     Fraction(24000, 1001)

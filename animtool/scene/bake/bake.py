@@ -97,7 +97,7 @@ def bake_outputs(
 def run_request(
     request: BakeRequest, *, progress: Progress = None
 ) -> list[OutputReport]:
-    """Plan and run the bake of an request, atomically; see `bake_outputs`."""
+    """Plan and run a requested bake, atomically; see `bake_outputs`."""
     reports: list[OutputReport] = []
     # Passes may save states as soon as a source is opened.
     with atomic_outputs():
@@ -119,7 +119,7 @@ def run_request(
 def bake_take(
     stream: TakeStream, request: BakeRequest, *, progress: Progress = None
 ) -> OutputReport:
-    """Write an open take to the single output of an request.
+    """Write an open take to the single output of a request.
 
     The take can be read once, and its blocks may be computed while they are read. The
     request also states the file that messages name as the source.

@@ -54,7 +54,7 @@ class SourceOptions:
         shot: Shot that shows the source; time codes become its frames.
 
     Raises:
-        OptionError: fps is no rate (SCN022).
+        OptionError: fps is not a rate (SCN022).
     """
 
     unit: LengthUnit | None = option(
@@ -401,7 +401,7 @@ def open_checked(
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return, by Skeleton path, a function that opens the take of that Skeleton."""
+    """Return a function per Skeleton, by its path, that opens the Skeleton's take."""
     from animtool.usd.takes.read import read_characters
 
     record_input(path)

@@ -1,4 +1,4 @@
-"""Retiming of takes: pre-roll frames, frames of a shot, and shots that have none."""
+"""Retiming of takes: pre-roll, conversion to shot frames, shots outside their take."""
 
 from __future__ import annotations
 
@@ -224,7 +224,7 @@ def _duration_text(seconds: Fraction) -> str:
 
 
 def _likely_first_timecode(shot: Shot, shot_seconds: Fraction, length: Fraction) -> str:
-    """Return the full hour that is likely the take's first time code, or a pattern."""
+    """Return the full hour at which the take likely starts, else ``HH:MM:SS:FF``."""
     media_timecode = shot.timecode
     assert media_timecode is not None
     label = media_timecode.label(shot_seconds)

@@ -356,7 +356,7 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
 
 
 def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
-    """Refuse systems whose prim paths a character, prop or rig has (SCN068)."""
+    """Refuse systems whose prim path belongs to a character, prop or rig (SCN068)."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
     owner_by_path = {paths.root: "the character"}

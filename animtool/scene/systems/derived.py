@@ -230,7 +230,7 @@ class SpecEntryReader(EntryReader):
         return prototype
 
     def gaits(self, location: Location, model: GaitsModel) -> GaitsSource | None:
-        """Return the gait clips of a rig, read at first use only; None on a fault."""
+        """Return the gait clips of a rig, read only once; None if they have a fault."""
         from animtool.scene.systems.gaits import GaitsSource
 
         rig = self.find_followed((*location, "rig"), model.rig)
@@ -310,7 +310,7 @@ class SpecEntryReader(EntryReader):
     def prim_carrier(
         self, location: Location, model: CarryingPrimModel
     ) -> PrimCarrier | None:
-        """Return a prim of a USD file as a carrier; open it now to check it."""
+        """Open a USD prim and return it as a carrier; None if its file is missing."""
         from animtool.usd.props.reader import open_prop
 
         path = self.input((*location, "file"), model.file)

@@ -161,7 +161,7 @@ class SystemRun:
         return notices
 
     def late_start_notices(self, last: float) -> list[Fault]:
-        """Return warnings about systems that hold nothing until the last frame [s]."""
+        """Return warnings about systems in which nothing exists until a time [s]."""
         notices = []
         for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
             simulation = entry_run.run.simulation

@@ -66,7 +66,7 @@ class _MeshMotion:
         self._cached_points = lru_cache(CACHED_TIME_COUNT)(self._points)
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        """Return the points ``(N, 3)`` [m] of the surface at a time [s]."""
         time_code = self._start + t * self._source.fps
         return self._cached_points(min(max(time_code, self._first), self._last))
 
@@ -80,7 +80,7 @@ class _MeshMotion:
         return points
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return the corners of its triangles ``(T, 3)``."""
+        """Return the point indices of the triangles ``(T, 3)``."""
         return self._faces
 
     def forget(self, t: float) -> None:

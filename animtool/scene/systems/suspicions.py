@@ -107,7 +107,7 @@ def _warn_of_length(
 def _warn_of_density_and_viscosity(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn of a density in g/cm³, and of a viscosity that is in mm²/s or a density."""
+    """Warn of a density in g/cm³, and of a viscosity in mm²/s or equal to a density."""
     density, viscosity = values.get("density"), values.get("viscosity")
     if isinstance(density, int | float) and 0 < density < MIN_DENSITY:
         message = f"density {density:g} is {density:g} kg/m³, lighter than foam"

@@ -196,7 +196,7 @@ def _winds(
 def _speeds(
     entry_path: Location, values: _EntryValues, volume: Callable[[_EntryValues], float]
 ) -> Iterator[tuple[Location, float, float, str]]:
-    """Yield each speed with its location, the plausible maximum, and a comparison."""
+    """Yield each speed with its location, its maximum, and what the maximum is for."""
     flying_bodies = "anything that is thrown or flies"
     for i, emitter in enumerate(values.get("emitters") or ()):
         # Charges move in fields, as fast as those make them.
@@ -262,8 +262,8 @@ def warn_of_weak_gravity(
 ) -> None:
     """Warn of an N-body system whose mutual gravity has no visible effect (SIM200).
 
-    The lengths of its spec are in metres; ``entry_data`` has its parsed entries; and
-    ``seconds`` is the time from the first to the last frame [s].
+    The lengths of its spec are in metres. ``entry_data`` has its parsed entries by key,
+    and ``seconds`` is the time from the first to the last frame [s].
     """
     constant = float(spec.gravity_constant)
     mass, distance, acceleration = _strongest_gravity(spec, entry_data)

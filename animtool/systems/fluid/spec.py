@@ -35,7 +35,7 @@ Quantity = Literal["age", "density", "pressure", "speed"]
 
 
 class FillModel(PlacedModel):
-    """Initial fluid: a filled shape, or points."""
+    """Fluid that is there at the beginning: a shape full of it, or points."""
 
     name: str = key("For messages.", "pool", default="")
     shape: ShapeEntry | None = key(
