@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Channel errors below this are not listed, in their units.
 NEGLIGIBLE_ERROR = 1e-9
 # Up to three files of an output are listed; chunks can be thousands.
-MAX_FILES = 3
+MAX_LISTED_FILES = 3
 SHOT_SUFFIX = "[  {shot.label}]"
 
 
@@ -138,7 +138,7 @@ _PROPS = "  beside: {props:list}]"
 
 def _file_names_text(files: Sequence[Path]) -> str:
     """Format the files of an output: all, or the main file and a count."""
-    if len(files) <= MAX_FILES:
+    if len(files) <= MAX_LISTED_FILES:
         return ", ".join(map(str, files)) or "stdout"
     return f"{files[-1]} and {len(files) - 1} more files"
 

@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, OptionError, Severity, excerpt
 from animtool.core.record import dataclass
 
 # Largest frame number; beyond it, times between frames are lost to rounding.
-MAX_FRAME = 10**9
+MAX_FRAME_NUMBER = 10**9
 # Exporters print frame times with 6 or more digits: the resulting error of a rate up to
 # 1000 is below this, and neighbouring broadcast rates are 1e-3 apart.
 NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)

@@ -168,7 +168,7 @@ TRC = Reader(
     options=_MARKER_OPTIONS,
     markers="animtool.formats.trc.read:read_trc",
 )
-ARRAYS = Reader(
+MARKER_ARRAYS = Reader(
     "arrays of markers",
     source=_OPEN_MARKERS,
     options=(*_MARKER_OPTIONS, "cameras"),
@@ -194,7 +194,7 @@ READERS: dict[str, Reader] = {
     ".csv": LIVELINK,
     ".c3d": C3D,
     ".trc": TRC,
-    ".npz": ARRAYS,
+    ".npz": MARKER_ARRAYS,
     ".mot": MOT,
     ".sto": STO,
 }

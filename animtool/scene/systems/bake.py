@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import MAX_FRAMES, FrameSpan, frame_label
+from animtool.core.clock import MAX_FRAME_COUNT, FrameSpan, frame_label
 from animtool.core.errors import (
     Fault,
     FormatError,
@@ -286,8 +286,8 @@ def _time_codes(
 ) -> tuple[Fraction, ...]:
     frame_numbers = range(frames.first, frames.last + 1, frames.step)
     count = len(frame_numbers) * max(1, len(offsets))
-    if count > MAX_FRAMES:
-        message = f"the range has {count} samples; the limit is {MAX_FRAMES}"
+    if count > MAX_FRAME_COUNT:
+        message = f"the range has {count} samples; the limit is {MAX_FRAME_COUNT}"
         raise FormatError(Fault("SCN091", message, where="range"))
     return tuple(
         frame + offset for frame in frame_numbers for offset in offsets or (Fraction(),)

@@ -11,13 +11,13 @@ from animtool.core.files.reading import unreadable_error
 from animtool.core.names import has_kind_suffix
 from animtool.core.plugins import load_object
 from animtool.core.readers import (
-    ARRAYS,
     BVH,
     C3D,
     EXPORT_HINTS,
     FBX,
     GLTF,
     LIVELINK,
+    MARKER_ARRAYS,
     MJCF,
     MOT,
     READERS,
@@ -169,7 +169,7 @@ _KINDS_BY_READER = {
     LIVELINK: Kind.LIVELINK,
     C3D: Kind.TRAJECTORIES,
     TRC: Kind.TRAJECTORIES,
-    ARRAYS: Kind.TRAJECTORIES,
+    MARKER_ARRAYS: Kind.TRAJECTORIES,
     MOT: Kind.COORDINATES,
     STO: Kind.COORDINATES,
 }
