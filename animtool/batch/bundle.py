@@ -133,7 +133,7 @@ def chunk_size(
 
 
 def batch_bundle(
-    batch: Batch, path: Path, chunk_items: int, cuts: CutArguments
+    batch: Batch, path: Path, items_per_chunk: int, cuts: CutArguments
 ) -> Bundle:
     """Return the bundle of a batch, with the shot options of the command line."""
     cut_arguments = [] if cuts.path is None else ["--cut", "{{Param.CutList}}"]
@@ -142,7 +142,7 @@ def batch_bundle(
     template = {
         "specificationVersion": "jobtemplate-2023-09",
         "name": name[:MAX_NAME_LENGTH],
-        "parameterDefinitions": _parameters(batch, chunk_items, cuts),
+        "parameterDefinitions": _parameters(batch, items_per_chunk, cuts),
         "steps": [
             {
                 "name": "Bake",
@@ -171,11 +171,11 @@ def batch_bundle(
     parameter_values = {"BatchFile": str(path.absolute())}
     if cuts.path is not None:
         parameter_values["CutList"] = str(cuts.path.absolute())
-    return Bundle(template, parameter_values, len(batch.items), chunk_items)
+    return Bundle(template, parameter_values, len(batch.items), items_per_chunk)
 
 
 def _parameters(
-    batch: Batch, chunk_items: int, cuts: CutArguments
+    batch: Batch, items_per_chunk: int, cuts: CutArguments
 ) -> list[dict[str, Any]]:
     """Return the definitions of a job's parameters, with their default values."""
     file_type = {"type": "PATH", "objectType": "FILE", "dataFlow": "IN"}
@@ -191,7 +191,7 @@ def _parameters(
         ),
         (
             "ChunkSize",
-            integer_type | {"default": chunk_items},
+            integer_type | {"default": items_per_chunk},
             "How many items a task builds.",
         ),
         (

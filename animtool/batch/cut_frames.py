@@ -14,7 +14,7 @@ from animtool.core.arguments import argument
 from animtool.core.config import Config
 from animtool.core.errors import Severity, excerpt
 from animtool.core.names import name_hint
-from animtool.core.rates import MAX_FRAME, parse_rate
+from animtool.core.rates import MAX_FRAME_NUMBER, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.shot import SHOT_START, MediaTimecode, Shot, frames_within
 from animtool.core.timecode import is_timecode, parse_timecode
@@ -93,8 +93,8 @@ def _parse_integer(key: str, value: object) -> int:
     value_text = excerpt(str(value))
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"{value_text} is not a whole number")
-    if abs(value) > MAX_FRAME or value != int(value):
-        raise ValueError(f"{value_text} is not a whole number up to {MAX_FRAME}")
+    if abs(value) > MAX_FRAME_NUMBER or value != int(value):
+        raise ValueError(f"{value_text} is not a whole number up to {MAX_FRAME_NUMBER}")
     if key == "handles" and value < 0:
         raise ValueError(f"{value_text} is below 0")
     return int(value)

@@ -249,7 +249,7 @@ class _CutReader:
         """Add the shot of a clip; record a fault or a notice if it has none."""
         # Imported here since it imports numpy, which planning a batch of files does not
         # need.
-        from animtool.core.clock import MAX_FRAMES
+        from animtool.core.clock import MAX_FRAME_COUNT
 
         clip, clip_text = shown_clip.clip, shown_clip.clip_text
         media_file = self.find_media_file(clip, clip_text)
@@ -286,9 +286,11 @@ class _CutReader:
             return
         shot_arguments = (span, self.fps, context, media_time, transitions)
         shot = build_shot(shown_clip.name, *shot_arguments, is_drop_frame=is_drop_frame)
-        if shot.end - shot.start >= MAX_FRAMES:
+        if shot.end - shot.start >= MAX_FRAME_COUNT:
             message = f"{clip_text} has too many frames: {shot.end - shot.start + 1}"
-            self.add_fault("BAT041", message, f"a shot can have up to {MAX_FRAMES}")
+            self.add_fault(
+                "BAT041", message, f"a shot can have up to {MAX_FRAME_COUNT}"
+            )
             return
         for notice in shot_notices(shot, span, self.fps, clip_text):
             self.add_notice(*notice)

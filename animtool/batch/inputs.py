@@ -24,7 +24,15 @@ from animtool.core.files.reading import (
     nearest_file,
 )
 from animtool.core.rates import rate_label
-from animtool.core.readers import BVH, DOCUMENT, FBX, GLTF, READERS, URDF, is_timeline
+from animtool.core.readers import (
+    BVH,
+    FBX,
+    GLTF,
+    READERS,
+    RIG_AND_CLIP_FILES,
+    URDF,
+    is_timeline,
+)
 from animtool.core.record import dataclass
 from animtool.documents.document import Document
 
@@ -32,10 +40,16 @@ from animtool.documents.document import Document
 # and would be inputs of the next run.
 INPUT_SUFFIXES = (
     *(suffix for suffix, reader in READERS.items() if reader in (BVH, GLTF, FBX, URDF)),
-    *(f".clip{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT),
+    *(
+        f".clip{suffix}"
+        for suffix, reader in READERS.items()
+        if reader is RIG_AND_CLIP_FILES
+    ),
 )
 SCENE_SUFFIXES = tuple(
-    f".scene{suffix}" for suffix, reader in READERS.items() if reader is DOCUMENT
+    f".scene{suffix}"
+    for suffix, reader in READERS.items()
+    if reader is RIG_AND_CLIP_FILES
 )
 
 

@@ -38,8 +38,8 @@ from animtool.scene.sources.open import OpenTake, fitting_options, source_stem
 
 if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
-    from animtool.scene.bake.outline import Outline
     from animtool.scene.bake.reading import Source
+    from animtool.scene.bake.request import BakeRequest
     from animtool.scene.scene import Scene
 
 
@@ -363,7 +363,7 @@ class ItemTask:
         output = getattr(scene, "output", None)
         files: Sequence[Path] = ()
         if self._names_outputs(scene):
-            files = self._outline(scene, None, item).files
+            files = self._bake_request(scene, None, item).files
         return replace(item, output=output or item.output, files=tuple(files))
 
     def refuse_two_outputs(self, source: Source) -> None:
@@ -379,7 +379,7 @@ class ItemTask:
     def _names_outputs(source: Source) -> bool:
         if isinstance(source, Path | str | OpenTake):
             return False
-        from animtool.scene.bake.outline import has_several_outputs
+        from animtool.scene.bake.request import has_several_outputs
 
         return has_several_outputs(source)
 
@@ -397,12 +397,14 @@ class ItemTask:
 
     def outputs(self, item: Item, source: Source) -> list[Path]:
         """Return the files that the bake of an item writes."""
-        return self._outline(source, item.output, item).files
+        return self._bake_request(source, item.output, item).files
 
-    def _outline(self, source: Source, output: Path | None, item: Item) -> Outline:
-        from animtool.scene.bake.outline import create_outline
+    def _bake_request(
+        self, source: Source, output: Path | None, item: Item
+    ) -> BakeRequest:
+        from animtool.scene.bake.request import create_request
 
-        return create_outline(source, output, self._options(item.file.path))
+        return create_request(source, output, self._options(item.file.path))
 
     def _options(self, path: Path) -> BakeOptions:
         """Return the options that apply to a file's format."""

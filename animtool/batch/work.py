@@ -28,7 +28,7 @@ from animtool.core.files.reading import (
 )
 from animtool.core.names import has_kind_suffix
 from animtool.core.process.supervisor import follow_parent, report_reading
-from animtool.core.readers import BVH, DOCUMENT, READERS, USD
+from animtool.core.readers import BVH, READERS, RIG_AND_CLIP_FILES, USD
 from animtool.core.record import dataclass
 from animtool.motion.scores import PassScores
 
@@ -209,7 +209,7 @@ COMMON_MODULES = (
 )
 READER_MODULES = {
     BVH: ("animtool.formats.bvh.read",),
-    DOCUMENT: (
+    RIG_AND_CLIP_FILES: (
         "animtool.clip.file",
         "animtool.rig.file",
         "animtool.scene.sources.clips",

@@ -39,9 +39,9 @@ from animtool.core.writers import file_suffixes, writer_of
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
-    from animtool.scene.bake.outline import Outline
     from animtool.scene.bake.prims import BakeReport
     from animtool.scene.bake.progress import BakeStats
+    from animtool.scene.bake.request import BakeRequest
     from animtool.scene.scene import Scene
 
 
@@ -149,21 +149,21 @@ def bake(
         raise click.UsageError("The scene names its outputs: remove -o.")
     if output is None and (scene is None or scene.output is None):
         output = default_bake_output(loaded_sources[0])
-    from animtool.scene.bake.outline import create_outline
+    from animtool.scene.bake.request import create_request
 
-    outline = create_outline(loaded_sources, output, read_bake_options(params))
+    request = create_request(loaded_sources, output, read_bake_options(params))
     if params["plan"]:
-        _print_plan(console, outline, params)
+        _print_plan(console, request, params)
         return
     if scene is not None:
         _refuse_skipped_library(scene, params)
         if params["stats"]:
             scene.meter.start()
-    _bake_outputs(console, outline, params, is_stdout=is_stdout)
+    _bake_outputs(console, request, params, is_stdout=is_stdout)
 
 
 def _refuse_swapped_pair(first: Path, second: Path) -> None:
-    """Refuse an output in front of its source: a missing file, and one that exists."""
+    """Refuse two swapped arguments: a missing output, then a source that exists."""
     is_output = writer_of(first) is not None and is_missing_input(first)
     if is_output and not is_missing_input(second):
         names = shlex.quote(str(second)), shlex.quote(str(first))
@@ -213,37 +213,37 @@ def _refuse_skipped_library(scene: Scene, params: dict[str, Any]) -> None:
         raise click.UsageError(f"{message}one.")
 
 
-def _print_plan(console: Console, outline: Outline, params: dict[str, Any]) -> None:
+def _print_plan(console: Console, request: BakeRequest, params: dict[str, Any]) -> None:
     """Print the steps that a bake would run (``--plan``)."""
     from animtool.cli.summary import PLAN_TEMPLATE
     from animtool.scene.bake.steps import PlanSteps, bake_steps
 
-    steps = PlanSteps(bake_steps(outline))
-    console.report(params["report_format"], steps, PLAN_TEMPLATE, outline.notices)
+    steps = PlanSteps(bake_steps(request))
+    console.report(params["report_format"], steps, PLAN_TEMPLATE, request.notices)
 
 
 def _bake_outputs(
-    console: Console, outline: Outline, params: dict[str, Any], *, is_stdout: bool
+    console: Console, request: BakeRequest, params: dict[str, Any], *, is_stdout: bool
 ) -> None:
-    """Bake all outputs of an outline, unless existing ones are skipped, and report."""
-    from animtool.scene.bake.bake import bake_outline
+    """Bake all outputs of a request, unless existing ones are skipped, and report."""
+    from animtool.scene.bake.bake import run_request
 
-    scene, files = outline.scene, outline.source_set.files
-    first_output = outline.outputs[0]
-    has_several = any(entry.location is not None for entry in outline.outputs) and (
-        len(outline.outputs) > 1 or not first_output.is_stage
+    scene, files = request.scene, request.source_set.files
+    first_output = request.outputs[0]
+    has_several = any(entry.location is not None for entry in request.outputs) and (
+        len(request.outputs) > 1 or not first_output.is_stage
     )
     shown_path = files[0] if has_several else first_output.path
-    all_files = outline.files
+    all_files = request.files
     if skip_existing_outputs(console, "bake", params, shown_path, lambda: all_files):
         return
     pass_names = set() if scene is None else {use.pass_.name for use in scene.passes}
     if scene is not None and (scene.systems or SIMULATING_PASSES & pass_names):
-        console.warn_early(outline.notices)
+        console.warn_early(request.notices)
     label = files[0].name if len(files) == 1 else f"{len(files)} takes"
     progress_bar = console.progress(f"bake {label}", is_stdout=is_stdout)
     with atomic_command(), progress_bar as progress:
-        reports = bake_outline(outline, progress=progress)
+        reports = run_request(request, progress=progress)
     _print_reports(console, reports, scene, params, has_several=has_several)
 
 

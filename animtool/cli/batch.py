@@ -289,9 +289,9 @@ def batch(console: Console, /, inputs: tuple[str, ...], **params: Any) -> None:
 def _located_input(
     fault: Fault, inputs: tuple[str, ...], lines: Sequence[str]
 ) -> Fault:
-    """Return the fault of an input at its line of stdin; one of arguments has no place.
+    """Return a fault of an input, located at its line if it was read from stdin.
 
-    The texts of arguments are in the message.
+    Faults of arguments get no location, since the message has the text of the argument.
     """
     match = re.fullmatch(r"inputs\[(\d+)\]|exclude\[\d+\]", fault.where or "")
     if match is None or fault.path is not None:

@@ -142,7 +142,7 @@ class Console:
             self._write_line("debug", text)
 
     def warn_early(self, faults: Iterable[Fault]) -> None:
-        """Write warnings before long work, so that they are not written again later."""
+        """Write warnings before long work; they are not repeated at its end."""
         warnings = [f for f in faults if f.severity is Severity.WARNING]
         if self.verbosity >= 0:
             self.faults(warnings)

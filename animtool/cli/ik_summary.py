@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def _miss_text(miss: MissStatistics, statistic: str) -> str:
-    """Format a figure of missed goals as a length or an angle."""
+    """Format a statistic of goal errors as a length or an angle."""
     value = getattr(miss, statistic)
     if miss.is_length and not math.isfinite(value):
         return f"over {OVERFLOW_DISTANCE:g} m"

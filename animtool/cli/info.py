@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 # Number of prims of a set that are listed one by one.
-MAX_PRIMS = 20
+MAX_LISTED_PRIMS = 20
 _TYPE_LABELS = {"BasisCurves": "curves", "PointInstancer": "copies"}
 _PRIM = (
     "  [{type:kind}|over     ] {path}: {points:range point}[, {self:pieces}]"
@@ -73,7 +73,10 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
         "[{?shapes}  shapes    {shapes}, {combined} combined"
         "[{?arkit}, {arkit} of ARKit's 52]]",
         Each(
-            "driven", ("  driven    {self}",), MAX_PRIMS, "  driven    and {left} more"
+            "driven",
+            ("  driven    {self}",),
+            MAX_LISTED_PRIMS,
+            "  driven    and {left} more",
         ),
         "[  controls  {control_names:list 40}]",
         "  and       [{others:counts}|nothing else]",
@@ -103,7 +106,7 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
         "  animated  {animated:kinds} joints of {joints}[{?shapes}, "
         "[{moving_shapes:n shape}|0 shapes] of {shapes}]; the rest are static",
         "[  shapes    {moving_shapes:list 12}]",
-        Each("points", (_PRIM,), MAX_PRIMS, "  and       {left} more"),
+        Each("points", (_PRIM,), MAX_LISTED_PRIMS, "  and       {left} more"),
         "[  feet      planted: {capture.feet:feet}]",
         "[  speed     mean {capture.speed_mean:plain 3} m/s, largest "
         "{capture.speed_max:plain 3}]",
@@ -126,7 +129,7 @@ _LINES_BY_RECORD: Mapping[str, tuple[Line, ...]] = {
         "{path}: {format} without a Skeleton",
         "  prims     [{types:types 12}]",
         _FRAMES,
-        Each("prims", (_PRIM,), MAX_PRIMS, "  and       {left} more"),
+        Each("prims", (_PRIM,), MAX_LISTED_PRIMS, "  and       {left} more"),
         "  space     {units}, {up} up",
         Each(
             "chunks",

@@ -107,12 +107,12 @@ def job(console: Console, /, batch_file: Path, **params: Any) -> None:
     costs = params["costs"]
     seconds = None if costs is None else mean_item_seconds(costs)
     item_count = len(resolved_batch.items)
-    chunk_items = params["chunk"] or chunk_size(
+    items_per_chunk = params["chunk"] or chunk_size(
         item_count, seconds, params["task_seconds"]
     )
     cuts = CutArguments(params["cuts"], tuple(cut_arguments(params)))
     bundle = batch_bundle(
-        resolved_batch, batch_file, min(chunk_items, item_count), cuts
+        resolved_batch, batch_file, min(items_per_chunk, item_count), cuts
     )
     written = write_bundle(bundle, params["output"], overwrite=params["overwrite"])
     console.report(params["report_format"], written, BUNDLE_TEMPLATE)

@@ -393,7 +393,7 @@ def record_options(
     param_names: Mapping[str, str] | None = None,
     help_text: str | None = None,
 ) -> Callable[[Command], Command]:
-    """Return a decorator that adds options of a record in order; all if none is named.
+    """Return a decorator that adds the named options of a record; without names, all.
 
     param_names: Names in the command that differ from the fields'.
     help_text: Help texts that differ from the record's.

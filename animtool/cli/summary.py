@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 # Channel errors below this are not listed, in their units.
 NEGLIGIBLE_ERROR = 1e-9
 # Up to three files of an output are listed; chunks can be thousands.
-MAX_FILES = 3
+MAX_LISTED_FILES = 3
 SHOT_SUFFIX = "[  {shot.label}]"
 
 
@@ -138,13 +138,13 @@ _PROPS = "  beside: {props:list}]"
 
 def _file_names_text(files: Sequence[Path]) -> str:
     """Format the files of an output: all, or the main file and a count."""
-    if len(files) <= MAX_FILES:
+    if len(files) <= MAX_LISTED_FILES:
         return ", ".join(map(str, files)) or "stdout"
     return f"{files[-1]} and {len(files) - 1} more files"
 
 
 def _beyond_limits_text(notices: Sequence[Fault]) -> str:
-    """Format that values beyond float32 are not in the error, if there are any."""
+    """Return text that the error omits values beyond float32; empty if none are."""
     has_values_beyond = any(notice.code == "BVH104" for notice in notices)
     return " (without values beyond it)" if has_values_beyond else ""
 
@@ -294,7 +294,7 @@ def template_of(report: BakeReport | ConvertReport) -> Template:
 
 
 def _other_prims_text(step: PlanStep, name: str) -> str:
-    """Return the prims that a step reads or writes as text, unless only its own."""
+    """Return the prims that a step reads or writes; empty if only its own."""
     prim_names = getattr(step, name)
     return "" if prim_names == (step.name,) else ", ".join(prim_names)
 

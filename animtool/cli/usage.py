@@ -160,7 +160,7 @@ def _misplaced_argument(
 
 
 def with_option(fault: Fault, context: click.Context) -> Fault:
-    """Return a fault located at the option of its field or file."""
+    """Return a fault located at the option that sets its field or names its file."""
     if fault.where and not fault.lines:
         for option in _command_options(context.command):
             if option.name == fault.where or f"--{fault.where}" in option.opts:

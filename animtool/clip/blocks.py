@@ -123,8 +123,8 @@ def _with_nearby_keys(channel: ClipChannel, first: float, last: float) -> ClipCh
         values=channel.values[nearby_keys],
         interps=channel.interps[nearby_keys],
         tangents=channel.tangents[nearby_keys],
-        ins=channel.ins[nearby_keys],
-        outs=channel.outs[nearby_keys],
+        in_handles=channel.in_handles[nearby_keys],
+        out_handles=channel.out_handles[nearby_keys],
         tcb=channel.tcb[nearby_keys],
     )
 

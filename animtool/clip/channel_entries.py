@@ -87,7 +87,7 @@ class CurveReader:
                 self._warn_of_parametrization({interp})
             key_count, times = len(keys), keys.times
             interps, tangents = (interp,) * key_count, ((tangent, tangent),) * key_count
-            ins = outs = np.zeros((key_count, 1 + component_count))
+            in_handles = out_handles = np.zeros((key_count, 1 + component_count))
             tcb = np.zeros((key_count, 3))
         else:
             interps = tuple(Interp(k.interp) if k.interp else interp for k in keys)
@@ -112,8 +112,8 @@ class CurveReader:
                 return None
             values, times = key_values, np.array([key.t for key in keys])
             tangents = tuple((before[0], after[0]) for before, after in handles)
-            ins = np.array([before[1] for before, _ in handles])
-            outs = np.array([after[1] for _, after in handles])
+            in_handles = np.array([before[1] for before, _ in handles])
+            out_handles = np.array([after[1] for _, after in handles])
             tcb = np.array([key.tcb or [0.0, 0.0, 0.0] for key in keys])
         return ClipChannel(
             target,
@@ -123,8 +123,8 @@ class CurveReader:
             else values * unit,
             interps,
             tangents,
-            ins,
-            outs,
+            in_handles,
+            out_handles,
             tcb,
             Parametrization(model.parametrization),
             model.euler or "",

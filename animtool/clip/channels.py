@@ -35,8 +35,8 @@ class ClipChannel:
     tangents: tuple[tuple[Tangent, Tangent], ...]
     # Handles before the keys, as offsets: time, then D values ``(K, 1 + D)``; used
     # where the tangent is free.
-    ins: FloatArray
-    outs: FloatArray  # handles after the keys, likewise
+    in_handles: FloatArray
+    out_handles: FloatArray  # handles after the keys, likewise
     tcb: FloatArray  # tension, continuity, bias ``(K, 3)``
     parametrization: Parametrization = Parametrization.UNIFORM  # for Catmull-Rom
     euler: str = ""  # order of the Euler angles; empty for other channels
@@ -275,7 +275,9 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
     no_values, no_handles = np.zeros(0), np.zeros((0, 2))
     empty_arrays = no_values, no_values, np.zeros(0, np.int64), no_handles, no_handles
     columns = zip(empty_arrays, *channel_curves, strict=True)
-    times, values, kinds, ins, outs = (np.concatenate(column) for column in columns)
+    times, values, kinds, in_handles, out_handles = (
+        np.concatenate(column) for column in columns
+    )
     component_channels = [channel for channel in channels for _ in channel.values.T]
     key_counts = [len(channel.times) for channel in component_channels]
     return Curves(
@@ -283,8 +285,8 @@ def component_curves(channels: Sequence[ClipChannel]) -> Curves:
         times,
         values,
         kinds,
-        ins,
-        outs,
+        in_handles,
+        out_handles,
         tuple(channel.pre for channel in component_channels),
         tuple(channel.post for channel in component_channels),
     )
@@ -298,14 +300,18 @@ def _channel_curves(
     slopes = KeySlopes(
         channel.times, channel.values, channel.tcb, channel.parametrization
     )
-    ins, outs, segment_kinds = key_handles(
-        slopes, channel.interps, channel.tangents, channel.ins, channel.outs
+    in_handles, out_handles, segment_kinds = key_handles(
+        slopes,
+        channel.interps,
+        channel.tangents,
+        channel.in_handles,
+        channel.out_handles,
     )
     in_rows, out_rows = (
         np.stack(
             [np.tile(handles[:, 0], component_count), handles[:, 1:].T.ravel()], axis=-1
         )
-        for handles in (ins, outs)
+        for handles in (in_handles, out_handles)
     )
     times = np.tile(channel.times, component_count)
     segment_kinds = np.tile(segment_kinds, component_count)
@@ -385,7 +391,7 @@ def _evaluate_rotation_channels(
 
 def is_static(channel: ClipChannel) -> bool:
     """Return whether all keys and handles have the first key's value."""
-    has_handles = channel.ins[:, 1:].any() or channel.outs[:, 1:].any()
+    has_handles = channel.in_handles[:, 1:].any() or channel.out_handles[:, 1:].any()
     return not has_handles and bool((channel.values == channel.values[0]).all())
 
 

@@ -13,7 +13,7 @@ from typing import TypeVar, cast
 
 from animtool.clip.channels import ClipChannel, ClipUnits, check_targets
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import MAX_FRAMES, Clock, time_codes
+from animtool.core.clock import MAX_FRAME_COUNT, Clock, time_codes
 from animtool.core.errors import Fault, FormatError, counted, refuse
 from animtool.core.loaded import check_loaded
 from animtool.core.names import decimal_text, flow_list, scaled_decimal, yaml_scalar
@@ -86,8 +86,10 @@ class Clip:
         """
         codes_per_frame = step * self.fps / _rate_or_default(fps, self.fps)
         frame_count = (self.last - self.first) // codes_per_frame + 1
-        if not 0 < frame_count <= MAX_FRAMES:
-            message = f"the range has {frame_count} frames; the limit is {MAX_FRAMES}"
+        if not 0 < frame_count <= MAX_FRAME_COUNT:
+            message = (
+                f"the range has {frame_count} frames; the limit is {MAX_FRAME_COUNT}"
+            )
             if frame_count <= 0:
                 message = "the range contains no frame"
             raise FormatError(Fault("CLIP006", message, where="range"))
@@ -220,8 +222,8 @@ def _numbers_in(clip: Clip, units_with_nan: ClipUnits) -> Iterator[float]:
     for channel in clip.channels:
         if math.isnan(units_with_nan.unit_of(channel.target, channel.euler)):
             yield from channel.values.ravel().tolist()
-            yield from channel.ins[:, 1:].ravel().tolist()
-            yield from channel.outs[:, 1:].ravel().tolist()
+            yield from channel.in_handles[:, 1:].ravel().tolist()
+            yield from channel.out_handles[:, 1:].ravel().tolist()
 
 
 def _round_trips(values: Iterable[float], unit: float) -> bool:
@@ -265,7 +267,10 @@ def _key_entries(
     yield f"v: {_value_text(numbers, unit)}"
     if channel.interps[key_index] is not interp:
         yield f"interp: {channel.interps[key_index]}"
-    handles = (channel.ins[key_index].tolist(), channel.outs[key_index].tolist())
+    handles = (
+        channel.in_handles[key_index].tolist(),
+        channel.out_handles[key_index].tolist(),
+    )
     for name, handle_tangent, (dt, *dv) in zip(
         ("in", "out"), channel.tangents[key_index], handles, strict=True
     ):

@@ -251,10 +251,10 @@ def _remove_replaced_parts(
     """Remove driven parts that a local channel replaces; return notices on them."""
     notices = []
     for name, parts in parts_by_joint.items():
-        for local_part, replaced_parts in _REPLACED_PARTS.items():
+        for local_part, driven_parts in _DRIVEN_PARTS_BY_LOCAL_PART.items():
             if local_part not in parts:
                 continue
-            dropped_values = [parts.pop(key) for key in replaced_parts if key in parts]
+            dropped_values = [parts.pop(key) for key in driven_parts if key in parts]
             if any((values != values[0]).any() for values in dropped_values):
                 message = (
                     f"joint {name!r} has keys for {local_part}, so no control moves it"
@@ -264,8 +264,8 @@ def _remove_replaced_parts(
     return notices
 
 
-# Parts that local keys replace.
-_REPLACED_PARTS = {
+# Driven parts that local keys of a joint replace.
+_DRIVEN_PARTS_BY_LOCAL_PART = {
     "local_translation": ("+slide", *(f"+translation.{axis}" for axis in "xyz")),
     "local_rotation": ("+angle", *(f"+rotation.{axis}" for axis in "xyz")),
 }

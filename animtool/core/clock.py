@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from animtool.core.array_types import FloatArray
 
 # Days of animation; larger numbers are probably mistyped.
-MAX_FRAMES = 10_000_000
+MAX_FRAME_COUNT = 10_000_000
 # Time codes are float64 values of fractions such as 1001 + 1/5; fractions up to this
 # denominator are recovered.
 MAX_STEP_DENOMINATOR = 10_000

@@ -18,7 +18,7 @@ from animtool.core.files.reading import (
     read_input,
     record_input,
 )
-from animtool.core.rates import MAX_FRAME, parse_rate
+from animtool.core.rates import MAX_FRAME_NUMBER, parse_rate
 from animtool.core.record import dataclass
 from animtool.core.timecode import is_timecode
 
@@ -158,9 +158,11 @@ def _config_from_table(path: Path, table: Any) -> Config:
             hint = f"allowed: {allowed}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
     start = table.get("start")
-    if start is not None and not (_is_integer(start) and abs(start) <= MAX_FRAME):
+    if start is not None and not (
+        _is_integer(start) and abs(start) <= MAX_FRAME_NUMBER
+    ):
         message = f"start is {excerpt(str(start))}, not a whole number from "
-        raise _value_error(path, f"{message}{-MAX_FRAME} to {MAX_FRAME}")
+        raise _value_error(path, f"{message}{-MAX_FRAME_NUMBER} to {MAX_FRAME_NUMBER}")
     roots = table.get("roots", [])
     if not isinstance(roots, list) or not all(isinstance(root, str) for root in roots):
         message = f"roots is {excerpt(str(roots))}, not a list of folders"
@@ -201,14 +203,14 @@ def _timeline_from_table(path: Path, table: Any) -> TimelineConfig:
             hint = f"allowed: {', '.join(names)}"
             raise OptionError(Fault("CFG002", message, str(path), (), hint))
         message = f"timeline.{name} is {excerpt(str(value))}, not a "
-        is_frame = _is_integer(value) and abs(value) <= MAX_FRAME
+        is_frame = _is_integer(value) and abs(value) <= MAX_FRAME_NUMBER
         if name == "fps":
             try:
                 values[name] = parse_rate(value)
             except ValueError as error:
                 raise _value_error(path, f"timeline.fps: {error}") from error
         elif name == "cut_start" and not is_frame:
-            message += f"whole number from {-MAX_FRAME} to {MAX_FRAME}"
+            message += f"whole number from {-MAX_FRAME_NUMBER} to {MAX_FRAME_NUMBER}"
             raise _value_error(path, message)
         elif name == "first_timecode" and not is_timecode(value):
             raise _value_error(path, f"{message}time code such as '01:00:00:00'")

@@ -116,7 +116,7 @@ MIN_UNKNOWN_FRACTION, MAX_SIMILAR_FRACTION = 0.6, 0.5
 def belong_elsewhere(
     are_similar: Sequence[bool], total_count: int, min_count: int
 ) -> bool:
-    """Return whether so many names are unknown that they are those of something else.
+    """Return whether so many names are unknown that they likely belong to another file.
 
     Args:
         are_similar: For each unknown name, whether it is similar to a known one.

@@ -349,7 +349,7 @@ def clash_messages(record: Any) -> list[str]:
 # Message template for a number of an entry in a file.
 ENTRY_RANGE_MESSAGE = "its {name} must be {bound}, not {value:g}"
 # Upper limit of options without another limit.
-MAX_NUMBER = 1e9
+MAX_OPTION_VALUE = 1e9
 # Message template for an argument.
 ARGUMENT_RANGE_MESSAGE = "{name} must be {bound}, not {value:g}"
 
@@ -408,7 +408,7 @@ def at_least(minimum: float, code: str, *, finite: bool = False) -> Range:
 def between(
     minimum: float,
     code: str,
-    maximum: float = MAX_NUMBER,
+    maximum: float = MAX_OPTION_VALUE,
     *,
     includes_minimum: bool = True,
 ) -> Range:

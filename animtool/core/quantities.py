@@ -96,13 +96,13 @@ _LENGTH_UNITS = (
     (0.0, 1e-9, "nm"),
 )
 # Largest number of zeros printed before using an exponent.
-MAX_ZEROS = 15
+MAX_PRINTED_ZEROS = 15
 # Shorter lengths are rounding errors of float64 [m].
-MIN_LENGTH = 1e-12
+MIN_PRINTED_LENGTH = 1e-12
 # Smaller angles are rounding errors of float64 [deg].
-MIN_ANGLE = 1e-6
+MIN_PRINTED_ANGLE = 1e-6
 # Largest error in images that is shown as a number [px].
-MAX_PIXELS = 100_000
+MAX_PRINTED_PIXELS = 100_000
 _DURATION_UNITS = ((1.0, 1.0, "s"), (1e-3, 1e-3, "ms"), (0.0, 1e-6, "µs"))
 _SIZE_UNITS = ((1e9, 1e9, "GB"), (1e6, 1e6, "MB"), (1e3, 1e3, "kB"), (0.0, 1.0, "B"))
 
@@ -131,7 +131,7 @@ def plain_number(value: float, digits: int = 3) -> str:
     if "e" not in text:
         return text
     rounded_number, exponent = float(text), int(text.partition("e")[2])
-    if abs(exponent) > MAX_ZEROS:
+    if abs(exponent) > MAX_PRINTED_ZEROS:
         return text
     decimals = max(0, digits - 1 - exponent)
     text = f"{rounded_number:.{decimals}f}"
@@ -153,7 +153,7 @@ def length_text(meters: float, digits: int = 3) -> str:
     >>> length_text(26.2), length_text(0.00012), length_text(4.1e-8), length_text(0)
     ('26.2 m', '0.12 mm', '0.041 µm', '0 mm')
     """
-    if 0 < abs(meters) < MIN_LENGTH:
+    if 0 < abs(meters) < MIN_PRINTED_LENGTH:
         return "below 0.001 nm"
     return _unit_text(meters, _LENGTH_UNITS, "mm", digits)
 
@@ -164,8 +164,8 @@ def angle_text(degrees: float, digits: int = 3) -> str:
     >>> angle_text(26.25, 4), angle_text(0.000267), angle_text(8.8e-13), angle_text(0)
     ('26.25°', '0.000267°', 'below 0.000001°', '0°')
     """
-    if 0 < abs(degrees) < MIN_ANGLE:
-        return f"below {plain_number(MIN_ANGLE)}°"
+    if 0 < abs(degrees) < MIN_PRINTED_ANGLE:
+        return f"below {plain_number(MIN_PRINTED_ANGLE)}°"
     return f"{plain_number(degrees, digits)}°"
 
 
@@ -184,8 +184,8 @@ def pixels_text(pixels: float) -> str:
     >>> pixels_text(0.437), pixels_text(1.4e154)
     ('0.4 px', 'more than 100,000 px')
     """
-    if not abs(pixels) <= MAX_PIXELS:
-        return f"more than {MAX_PIXELS:,} px"
+    if not abs(pixels) <= MAX_PRINTED_PIXELS:
+        return f"more than {MAX_PRINTED_PIXELS:,} px"
     return f"{pixels:.1f} px"
 
 

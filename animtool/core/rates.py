@@ -13,7 +13,7 @@ from animtool.core.errors import Fault, OptionError, Severity, excerpt
 from animtool.core.record import dataclass
 
 # Largest frame number; beyond it, times between frames are lost to rounding.
-MAX_FRAME = 10**9
+MAX_FRAME_NUMBER = 10**9
 # Exporters print frame times with 6 or more digits: the resulting error of a rate up to
 # 1000 is below this, and neighbouring broadcast rates are 1e-3 apart.
 NEAREST_RATE_TOLERANCE = Fraction(25, 100_000)
@@ -72,22 +72,22 @@ class RateKind(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class RateChoice:
-    """The rate inferred from a printed frame time, and which others print equally."""
+    """The rate inferred from a printed frame time, and others with the same text."""
 
     fps: Fraction  # exact frames per second
     # ``reprinted``: the reciprocal rounds to the printed time; ``nearest``: the closest
     # common rate; ``printed``: the printed number as it is.
     kind: RateKind
-    ambiguous_rates: tuple[int, ...] = ()  # other integer rates that print equally
+    ambiguous_rates: tuple[int, ...] = ()  # other integer rates with the same text
 
 
 def rate_from_frame_time(text: str) -> RateChoice:
     """Return the rate of a printed frame time [s].
 
-    An integer whose reciprocal, rounded to the printed digits, equals the printed value
-    (of several, the exact one, else a common one, else the nearest); else the nearest
-    of the integers 1 to 1000 and N·1000/1001 within 2.5e-4; else the reciprocal of the
-    printed decimal.
+    The rate is the integer whose reciprocal, rounded to the printed digits, equals the
+    printed value; of several, the exact one, else a common one, else the nearest. If
+    there is none, it is the nearest of the integers 1 to 1000 and N·1000/1001 within
+    2.5e-4, else the reciprocal of the printed decimal.
 
     >>> str(rate_from_frame_time("0.0333333").fps)
     '30'
@@ -113,11 +113,11 @@ def rate_from_frame_time(text: str) -> RateChoice:
         other_rates = () if exact_rate in common_rates else tuple(common_rates)
         return RateChoice(exact_rate, RateKind.REPRINTED, other_rates)
     if matching_rates:
-        best_integer = min(
+        best_integer_rate = min(
             common_rates or matching_rates, key=lambda n: abs(n - exact_rate)
         )
-        other_rates = tuple(n for n in matching_rates if n != best_integer)
-        return RateChoice(Fraction(best_integer), RateKind.REPRINTED, other_rates)
+        other_rates = tuple(n for n in matching_rates if n != best_integer_rate)
+        return RateChoice(Fraction(best_integer_rate), RateKind.REPRINTED, other_rates)
 
     broadcast_counts = _adjacent_integers(exact_rate * 1001 / 1000)
     candidates = [Fraction(n) for n in _adjacent_integers(exact_rate)]
@@ -150,8 +150,9 @@ def _integers_that_print(printed_time: Fraction, digits: int) -> list[int]:
 def rate_from_float(fps: float) -> Fraction:
     """Return the exact rate that a float in file metadata approximates.
 
-    An integer or N·1000/1001 if the float equals one of them to 5e-6, or is the usual
-    decimal for one; else the float's exact value rounded to a denominator below 1e6.
+    The rate is an integer or N·1000/1001 if the float equals one of them to 5e-6, or is
+    the usual decimal for one. Otherwise it is the float's exact value, rounded to a
+    denominator below 1e6.
 
     >>> rate_from_float(23.976023976023978)
     Fraction(24000, 1001)

@@ -124,7 +124,7 @@ MJCF = Reader(
     "animtool.formats.mjcf.read:read_mjcf",
     still=True,
 )
-DOCUMENT = Reader(
+RIG_AND_CLIP_FILES = Reader(
     "rig and clip files",
     "animtool.rig.file:load_rig",
     "animtool.scene.sources.clips:open_clip_source",
@@ -168,7 +168,7 @@ TRC = Reader(
     options=_MARKER_OPTIONS,
     markers="animtool.formats.trc.read:read_trc",
 )
-ARRAYS = Reader(
+MARKER_ARRAYS = Reader(
     "arrays of markers",
     source=_OPEN_MARKERS,
     options=(*_MARKER_OPTIONS, "cameras"),
@@ -188,13 +188,13 @@ READERS: dict[str, Reader] = {
     ".urdf": URDF,
     ".mjcf": MJCF,
     ".xml": MJCF,
-    ".yaml": DOCUMENT,
-    ".yml": DOCUMENT,
-    ".json": DOCUMENT,
+    ".yaml": RIG_AND_CLIP_FILES,
+    ".yml": RIG_AND_CLIP_FILES,
+    ".json": RIG_AND_CLIP_FILES,
     ".csv": LIVELINK,
     ".c3d": C3D,
     ".trc": TRC,
-    ".npz": ARRAYS,
+    ".npz": MARKER_ARRAYS,
     ".mot": MOT,
     ".sto": STO,
 }
@@ -250,7 +250,7 @@ EXPORT_HINTS: dict[str, tuple[str, str]] = {
 _TABLE = FormatTable(READERS, PLUGIN_GROUP, Reader)
 # Number of bytes that are searched for the root element of an .xml file, and the root
 # elements of timelines, which OpenTimelineIO reads.
-HEAD_BYTES = 65_536
+MAX_ROOT_SEARCH_BYTES = 65_536
 _ROOT_ELEMENT = re.compile(rb"<(?![?!])\s*([^\s/>]{1,100})")
 _XML_COMMENTS = re.compile(rb"<!--.*?(?:-->|\Z)", re.DOTALL)
 _TIMELINE_ROOTS = frozenset({"xmeml", "fcpxml"})
@@ -260,10 +260,12 @@ def xml_root(path: Path) -> str:
     """Return the name of the root element of an XML file; "" if there is none."""
     try:
         with open_input(path, None, is_recorded=False) as file:
-            head = file.read(HEAD_BYTES)
+            first_bytes = file.read(MAX_ROOT_SEARCH_BYTES)
     except FormatError:
         return ""
-    match = _ROOT_ELEMENT.search(_XML_COMMENTS.sub(b"", head.replace(b"\0", b"")))
+    match = _ROOT_ELEMENT.search(
+        _XML_COMMENTS.sub(b"", first_bytes.replace(b"\0", b""))
+    )
     return match[1].decode("utf-8", "replace") if match else ""
 
 

@@ -119,8 +119,8 @@ def builtin_rules() -> Mapping[str, Rule]:
             # For 1000 files, paths, buffers and second reads would take half of the
             # time.
             with open(entry, "rb", buffering=0) as page:  # noqa: PTH123
-                head = page.read(MAX_FRONT_MATTER_BYTES).decode(errors="ignore")
-            rules.append(_parse_page(head)[0])
+                front_text = page.read(MAX_FRONT_MATTER_BYTES).decode(errors="ignore")
+            rules.append(_parse_page(front_text)[0])
     return {rule.code: rule for rule in sorted(rules, key=lambda rule: rule.code)}
 
 

@@ -37,9 +37,9 @@ class UpAxis(StrEnum):
 def likely_unit(
     size: float, unit: LengthUnit, typical_size: float
 ) -> tuple[LengthUnit, float]:
-    """Return the unit in which a size is most like a typical one, and that size [m].
+    """Return the unit in which a size is closest to a typical one, and that size [m].
 
-    ``size``, not 0, is a number read in ``unit`` [m].
+    ``size`` [m] was read with its numbers in ``unit``; it must not be 0.
 
     >>> likely_unit(2000.0, LengthUnit.M, 1.0)
     (<LengthUnit.MM: 'mm'>, 2.0)
@@ -50,7 +50,9 @@ def likely_unit(
 
 
 def confused_units(ratio: float) -> tuple[LengthUnit, LengthUnit]:
-    """Return the unit of numbers, and the unit they were read in, for a size ratio.
+    """Return the true unit and the wrongly assumed unit that best explain a size ratio.
+
+    ``ratio`` is the size in the assumed unit over the true size.
 
     >>> [unit.value for unit in confused_units(857.0)]
     ['mm', 'm']

@@ -158,9 +158,9 @@ class _SourceText:
 
     def _key_and_value(self, parent: Location, key: str) -> tuple[Any, Any]:
         """Return the nodes of a key of a mapping and of its value."""
-        for name, value in self._node_at(parent).value:
-            if name.value == key:
-                return name, value
+        for key_node, value_node in self._node_at(parent).value:
+            if key_node.value == key:
+                return key_node, value_node
         raise EditError(f"{location_text((*parent, key))} does not exist")
 
     def _replacement_splice(self, node: Any, value: str) -> TextSplice:

@@ -10,7 +10,7 @@ import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
 from animtool.core.record import dataclass
-from animtool.edit.travel import FramePositions, nearby_positions
+from animtool.edit.travel import FramePositions, frame_positions
 from animtool.maths import so3
 from animtool.motion.motion import CURVE_CHANNELS, Channel, Motion, MotionCurve
 from animtool.motion.take import Take
@@ -114,7 +114,7 @@ class TakeSampler:
         def sample(times: FloatArray) -> Motion:
             """Return the motion of the take at the mapped times."""
             frames = (source_times(times) - start) / step
-            return self.sample(nearby_positions(frames, clock.count))
+            return self.sample(frame_positions(frames, clock.count))
 
         return sample
 

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from fractions import Fraction
 
 from animtool.core.arguments import argument
-from animtool.core.clock import MAX_FRAMES, Clock
+from animtool.core.clock import MAX_FRAME_COUNT, Clock
 from animtool.core.errors import Fault, OptionError, value_excerpt
 from animtool.core.shot import SHOT_START
 
@@ -124,6 +124,6 @@ def seconds_hint(
 
 def check_count(count: int) -> None:
     """Raise if a result would have more than 10 million frames."""
-    if count > MAX_FRAMES:
-        message = f"the take would have {count} frames; the limit is {MAX_FRAMES}"
+    if count > MAX_FRAME_COUNT:
+        message = f"the take would have {count} frames; the limit is {MAX_FRAME_COUNT}"
         raise OptionError(Fault("SCN021", message))

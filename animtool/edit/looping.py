@@ -32,7 +32,7 @@ from animtool.edit.cycle import (
 )
 from animtool.edit.frames import check_count, check_range
 from animtool.edit.loop_options import LoopOptions
-from animtool.edit.travel import CycleTravel, cycle_travel, nearby_positions
+from animtool.edit.travel import CycleTravel, cycle_travel, frame_positions
 from animtool.maths import so3
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.passes import (
@@ -213,7 +213,7 @@ def resample_track(track: Track, transforms: Transforms) -> Track:
 
     def sample(times: FloatArray) -> Transforms:
         """Return the transforms at times."""
-        positions = nearby_positions(times, count)
+        positions = frame_positions(times, count)
 
         def interpolate(values: FloatArray) -> FloatArray:
             """Return values interpolated at the positions."""

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.clock import MAX_FRAMES, Clock, frame_label, time_codes
+from animtool.core.clock import MAX_FRAME_COUNT, Clock, frame_label, time_codes
 from animtool.core.errors import Fault, OptionError, Severity, warning
 from animtool.core.loaded import check_loaded
 from animtool.core.rates import FractionLike, rate_option, rate_warning
@@ -88,7 +88,7 @@ def plan_samples(
         origin = Fraction(math.floor(start))
         frame_shift = origin - start
         frame_numbers = _covered_frames(frame_range, start, frame_span, extend=extend)
-    if len(frame_numbers) * max(1, len(offsets)) > MAX_FRAMES:
+    if len(frame_numbers) * max(1, len(offsets)) > MAX_FRAME_COUNT:
         message = f"{len(frame_numbers)} frames at {float(fps):g} fps are too many"
         raise _range_error(message)
     first, last = origin + frame_numbers[0], origin + frame_numbers[-1]

@@ -27,7 +27,7 @@ from animtool.edit.frames import (
     seconds_hint,
 )
 from animtool.edit.straight import interpolation_notices
-from animtool.edit.travel import FramePositions, even_positions, nearby_positions
+from animtool.edit.travel import FramePositions, even_positions, frame_positions
 from animtool.motion.keyed import (
     KeyInterpolation,
     KeyPairs,
@@ -390,7 +390,7 @@ def time_warp(
         return interpolate_keys(key_times, source_codes, times, interpolation)
 
     frames = (source_times(result_clock.times) - start) / step
-    positions = nearby_positions(frames, clock.count)
+    positions = frame_positions(frames, clock.count)
     return _resample_at(take, result_clock, positions, source_times)
 
 

@@ -76,17 +76,17 @@ def _add_samples(error_meter: _ThinningErrorMeter, kept_samples: IntArray) -> In
     while len(frames):
         ratios = error_meter.error_ratios(kept_samples, frames)
         interval_indices = np.searchsorted(kept_samples, frames) - 1
-        first_positions = np.flatnonzero(np.diff(interval_indices, prepend=-1))
-        worst_ratios = np.maximum.reduceat(ratios, first_positions)
+        run_starts = np.flatnonzero(np.diff(interval_indices, prepend=-1))
+        worst_ratios = np.maximum.reduceat(ratios, run_starts)
         is_over_tolerance = worst_ratios > 1
         if not is_over_tolerance.any():
             break
-        lengths = np.diff([*first_positions, len(frames)])
-        interval_of_frame = np.repeat(np.arange(len(first_positions)), lengths)
-        peak_positions = np.flatnonzero(ratios == worst_ratios[interval_of_frame])
-        _, first_peaks = np.unique(interval_of_frame[peak_positions], return_index=True)
-        split_frames = frames[peak_positions[first_peaks]][is_over_tolerance]
-        split_intervals = interval_indices[first_positions[is_over_tolerance]]
+        lengths = np.diff([*run_starts, len(frames)])
+        interval_of_frame = np.repeat(np.arange(len(run_starts)), lengths)
+        peak_indices = np.flatnonzero(ratios == worst_ratios[interval_of_frame])
+        _, first_peaks = np.unique(interval_of_frame[peak_indices], return_index=True)
+        split_frames = frames[peak_indices[first_peaks]][is_over_tolerance]
+        split_intervals = interval_indices[run_starts[is_over_tolerance]]
         interval_starts = kept_samples[split_intervals]
         interval_ends = kept_samples[split_intervals + 1]
         margin = ((interval_ends - interval_starts) * SPLIT_MARGIN).astype(np.int64)

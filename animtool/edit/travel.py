@@ -163,20 +163,20 @@ def even_positions(
     return _clamp_positions(frames, fractions, frame_count)
 
 
-def nearby_positions(positions: ArrayLike, frame_count: int) -> FramePositions:
-    """Return the frame positions of fractional frame indices ``(N,)``.
+def frame_positions(frame_indices: ArrayLike, frame_count: int) -> FramePositions:
+    """Return the positions of fractional frame indices ``(N,)`` between frames.
 
-    A number within 1e-9 of a frame is that frame; positions are clamped to the take.
+    An index within 1e-9 of a frame is that frame; others are clamped to the take.
 
-    >>> nearby_positions([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
+    >>> frame_positions([-3.0, 1.25, 1 + 1e-12], 4).frames.tolist()
     [0, 1, 1]
     """
-    clamped_positions = np.clip(np.asarray(positions, np.float64), 0, frame_count - 1)
-    nearest_frames = np.round(clamped_positions)
-    is_on_frame = np.abs(clamped_positions - nearest_frames) <= FRAME_TOLERANCE
-    clamped_positions = np.where(is_on_frame, nearest_frames, clamped_positions)
-    frames = np.floor(clamped_positions).astype(np.int64)
-    return _clamp_positions(frames, clamped_positions - frames, frame_count)
+    clamped_indices = np.clip(np.asarray(frame_indices, np.float64), 0, frame_count - 1)
+    nearest_frames = np.round(clamped_indices)
+    is_on_frame = np.abs(clamped_indices - nearest_frames) <= FRAME_TOLERANCE
+    clamped_indices = np.where(is_on_frame, nearest_frames, clamped_indices)
+    frames = np.floor(clamped_indices).astype(np.int64)
+    return _clamp_positions(frames, clamped_indices - frames, frame_count)
 
 
 def positions_between(codes: FloatArray, requested_times: ArrayLike) -> FramePositions:

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray
-from animtool.core.clock import MAX_FRAMES, Clock
+from animtool.core.clock import MAX_FRAME_COUNT, Clock
 from animtool.core.errors import Fault, OptionError, counted
 from animtool.core.old_names import rename_attributes
 from animtool.core.rates import rate_label
@@ -262,8 +262,10 @@ class TargetTracks:
             first = Fraction(min(mentioned_frames))
             last = Fraction(max(mentioned_frames))
         frame_count = int((last - first) // 1) + 1
-        if frame_count > MAX_FRAMES:
-            message = f"the range has {frame_count} frames; the limit is {MAX_FRAMES}"
+        if frame_count > MAX_FRAME_COUNT:
+            message = (
+                f"the range has {frame_count} frames; the limit is {MAX_FRAME_COUNT}"
+            )
             raise OptionError(Fault("CLIP006", message, str(self.path)))
         return Clock(self.fps or DEFAULT_RATE, first, Fraction(1), frame_count)
 

@@ -123,25 +123,30 @@ class Curves:
     # `SegmentKind` of the segment after each key ``(K,)``; ignored for a curve's last
     # key.
     kinds: IntArray
-    ins: FloatArray  # handle before each key, as offset (dt ≤ 0, dv) ``(K, 2)``
-    outs: FloatArray  # handle after each key, as offset (dt ≥ 0, dv) ``(K, 2)``
+    in_handles: FloatArray  # handle before each key, as offset (dt ≤ 0, dv) ``(K, 2)``
+    out_handles: FloatArray  # handle after each key, as offset (dt ≥ 0, dv) ``(K, 2)``
     # Extrapolation of each curve before its first key, C long.
     pre: tuple[Extrapolation, ...]
     post: tuple[Extrapolation, ...]  # extrapolation after its last key, C long
 
-    def with_linear_time(self, start: float, ratio: float, new_start: float) -> Curves:
+    def retimed(self, start: float, ratio: float, new_start: float) -> Curves:
         """Return the curves with time t mapped to ``new_start + (t - start) · ratio``.
 
         >>> zero = np.zeros((2, 1))
-        >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).with_linear_time(
+        >>> cubic_curves(np.array([0.0, 2.0]), zero, zero, zero).retimed(
         ...     0.0, 0.5, 1001.0
         ... ).times.tolist()
         [1001.0, 1002.0]
         """
         handle_scale = np.array([ratio, 1.0])
         times = new_start + (self.times - start) * ratio
-        ins, outs = self.ins * handle_scale, self.outs * handle_scale
-        return replace(self, times=times, ins=ins, outs=outs)
+        in_handles, out_handles = (
+            self.in_handles * handle_scale,
+            self.out_handles * handle_scale,
+        )
+        return replace(
+            self, times=times, in_handles=in_handles, out_handles=out_handles
+        )
 
 
 _SEGMENT_KINDS = {Interp.STEP: SegmentKind.HOLD, Interp.LINEAR: SegmentKind.LINEAR}
@@ -164,11 +169,11 @@ def key_handles(
         free_outs: Handles after the keys, likewise.
     """
     key_count, component_count = slopes.values.shape
-    ins = np.zeros((key_count, 1 + component_count))
-    outs = np.zeros((key_count, 1 + component_count))
+    in_handles = np.zeros((key_count, 1 + component_count))
+    out_handles = np.zeros((key_count, 1 + component_count))
     kinds = np.full(key_count, int(SegmentKind.HOLD), np.int64)
     if key_count == 1:
-        return ins, outs, kinds
+        return in_handles, out_handles, kinds
     thirds = np.diff(slopes.times) / 3
     for interp, segments in _indices_by_value(interps[:-1]):
         if interp in _SEGMENT_KINDS:
@@ -176,13 +181,19 @@ def key_handles(
             continue
         kinds[segments] = SegmentKind.CUBIC
         segment_thirds = thirds[segments]
-        outs[segments, 0], ins[segments + 1, 0] = segment_thirds, -segment_thirds
+        out_handles[segments, 0], in_handles[segments + 1, 0] = (
+            segment_thirds,
+            -segment_thirds,
+        )
         if interp is Interp.CATMULL_ROM:
-            outs[segments, 1:], ins[segments + 1, 1:] = slopes.catmull_rom_handles(
-                segments, segment_thirds[:, None]
+            out_handles[segments, 1:], in_handles[segments + 1, 1:] = (
+                slopes.catmull_rom_handles(segments, segment_thirds[:, None])
             )
             continue
-        for side, handles, free_handles in ((1, outs, free_outs), (0, ins, free_ins)):
+        for side, handles, free_handles in (
+            (1, out_handles, free_outs),
+            (0, in_handles, free_ins),
+        ):
             side_keys = segments + 1 - side
             signed_thirds = segment_thirds if side else -segment_thirds
             if interp is Interp.TCB:
@@ -202,7 +213,7 @@ def key_handles(
                 else:
                     slope = slopes.by_rule(tangent, keys, tangent_segments)
                 handles[keys, 0], handles[keys, 1:] = length, slope * length[:, None]
-    return ins, outs, kinds
+    return in_handles, out_handles, kinds
 
 
 _Value = TypeVar("_Value")
@@ -236,15 +247,18 @@ def _free_slopes(handles: FloatArray) -> FloatArray:
 
 
 def cubic_curves(
-    times: FloatArray, values: FloatArray, ins: FloatArray, outs: FloatArray
+    times: FloatArray,
+    values: FloatArray,
+    in_handles: FloatArray,
+    out_handles: FloatArray,
 ) -> Curves:
     """Return D curves of CUBIC segments that share K key times, held at their ends.
 
     Args:
         times: Strictly ascending ``(K,)``.
         values: ``(K, D)``.
-        ins: Value offsets of the handles before the keys ``(K, D)``.
-        outs: Value offsets of the handles after the keys ``(K, D)``.
+        in_handles: Value offsets of the handles before the keys ``(K, D)``.
+        out_handles: Value offsets of the handles after the keys ``(K, D)``.
 
     >>> zero = np.zeros((2, 1))
     >>> ease = cubic_curves(np.array([0.0, 2.0]), np.array([[0.0], [1.0]]), zero, zero)
@@ -264,8 +278,8 @@ def cubic_curves(
         np.tile(np.asarray(times, np.float64), component_count),
         np.ascontiguousarray(values.T.ravel()),
         np.full(key_count * component_count, int(SegmentKind.CUBIC), np.int64),
-        handles(ins),
-        handles(outs),
+        handles(in_handles),
+        handles(out_handles),
         (Extrapolation.HOLD,) * component_count,
         (Extrapolation.HOLD,) * component_count,
     )
@@ -293,8 +307,8 @@ def evaluate(
     ...     times=np.array([0.0, 3.0]),
     ...     values=np.array([0.0, 1.0]),
     ...     kinds=np.array([SegmentKind.BEZIER, SegmentKind.HOLD]),
-    ...     ins=np.array([[0.0, 0.0], [-1.0, 0.0]]),
-    ...     outs=np.array([[1.0, 0.0], [0.0, 0.0]]),
+    ...     in_handles=np.array([[0.0, 0.0], [-1.0, 0.0]]),
+    ...     out_handles=np.array([[1.0, 0.0], [0.0, 0.0]]),
     ...     pre=(Extrapolation.HOLD,),
     ...     post=(Extrapolation.OSCILLATE,),
     ... )
@@ -342,8 +356,8 @@ def end_slopes(curves: Curves) -> FloatArray:
     ...     times=np.array([0.0, 2.0]),
     ...     values=np.array([0.0, 1.0]),
     ...     kinds=np.array([SegmentKind.LINEAR, SegmentKind.HOLD]),
-    ...     ins=np.zeros((2, 2)),
-    ...     outs=np.zeros((2, 2)),
+    ...     in_handles=np.zeros((2, 2)),
+    ...     out_handles=np.zeros((2, 2)),
     ...     pre=(Extrapolation.LINEAR,),
     ...     post=(Extrapolation.LINEAR,),
     ... )
@@ -355,10 +369,10 @@ def end_slopes(curves: Curves) -> FloatArray:
     second_keys = np.where(is_single_key, start_keys, start_keys + 1)
     second_last_keys = np.where(is_single_key, end_keys, end_keys - 1)
     first_slopes = _segment_slopes(
-        curves, start_keys, second_keys, curves.outs[start_keys]
+        curves, start_keys, second_keys, curves.out_handles[start_keys]
     )
     last_slopes = _segment_slopes(
-        curves, second_last_keys, end_keys, -curves.ins[end_keys]
+        curves, second_last_keys, end_keys, -curves.in_handles[end_keys]
     )
     return np.stack([first_slopes, last_slopes], axis=-1)
 
@@ -406,8 +420,8 @@ def _values_in_range(
         curves.times,
         curves.values,
         curves.kinds,
-        np.ascontiguousarray(curves.ins),
-        np.ascontiguousarray(curves.outs),
+        np.ascontiguousarray(curves.in_handles),
+        np.ascontiguousarray(curves.out_handles),
         times,
         out,
     )
@@ -431,7 +445,8 @@ def _check_curves(curves: Curves) -> None:
     shapes: dict[str, tuple[int, ...]]
     shapes = dict.fromkeys(("times", "values", "kinds"), (key_count,))
     shapes |= dict.fromkeys(("ins", "outs"), (key_count, 2))
+    handles = {"ins": curves.in_handles, "outs": curves.out_handles}
     for name, shape in shapes.items():
-        array = getattr(curves, name)
+        array = handles[name] if name in handles else getattr(curves, name)
         if array.shape != shape:
             raise ValueError(f"{name} must have shape {shape}, not {array.shape}")

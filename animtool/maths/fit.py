@@ -26,9 +26,9 @@ class FittedKeys:
     frames: IntArray  # frames of the keys, ascending ``(K,)`` [frame]
     values: FloatArray  # samples at the keys ``(K, D)``
     # Handle before each key, as offset in value ``(K, D)``; 0 at the first.
-    ins: FloatArray
+    in_handles: FloatArray
     # Handle after each key, as offset in value ``(K, D)``; 0 at the last.
-    outs: FloatArray
+    out_handles: FloatArray
 
 
 def fit_keys(
@@ -75,7 +75,7 @@ def fit_keys(
 
     >>> t = np.arange(101.0)[:, None]
     >>> keys = fit_keys((t / 50 - 1) ** 3, 1e-6)
-    >>> keys.frames.tolist(), keys.outs.round(6).tolist()
+    >>> keys.frames.tolist(), keys.out_handles.round(6).tolist()
     ([0, 100], [[2.0], [0.0]])
     """
     samples = _check_samples(values)
@@ -85,7 +85,7 @@ def fit_keys(
         np.ascontiguousarray(np.broadcast_to(bound, samples.shape[1:]) / tolerance)
         for bound in bound_pair
     )
-    key_frames, ins, outs = _kernels.fit_cubics(
+    key_frames, in_handles, out_handles = _kernels.fit_cubics(
         samples / tolerance,
         scales,
         np.ascontiguousarray(anchors, np.int64),
@@ -93,8 +93,8 @@ def fit_keys(
         high,
         np.ascontiguousarray(straight_frames, np.int64),
     )
-    ins, outs = ins * tolerance, outs * tolerance
-    return FittedKeys(key_frames, samples[key_frames], ins, outs)
+    in_handles, out_handles = in_handles * tolerance, out_handles * tolerance
+    return FittedKeys(key_frames, samples[key_frames], in_handles, out_handles)
 
 
 def _check_samples(values: ArrayLike) -> FloatArray:
@@ -135,5 +135,5 @@ def evaluate_keys(keys: FittedKeys, frames: ArrayLike) -> FloatArray:
     [[2.25]]
     """
     times = keys.frames.astype(np.float64)
-    curves = cubic_curves(times, keys.values, keys.ins, keys.outs)
+    curves = cubic_curves(times, keys.values, keys.in_handles, keys.out_handles)
     return np.ascontiguousarray(evaluate(curves, frames).T)

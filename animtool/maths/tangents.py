@@ -74,8 +74,8 @@ def tcb(
         D. Kochanek and R. Bartels, Interpolating splines with local tension,
         continuity, and bias control, 1984.
 
-    >>> ins, outs = tcb([0, 1, 2], [[0], [1], [0]], [[0, 1, 0]] * 3)
-    >>> ins[1].tolist(), outs[1].tolist()
+    >>> in_slopes, out_slopes = tcb([0, 1, 2], [[0], [1], [0]], [[0, 1, 0]] * 3)
+    >>> in_slopes[1].tolist(), out_slopes[1].tolist()
     ([-1.0], [1.0])
     """
     _, values, key_intervals, slopes = _checked_segments(times, values)
@@ -145,8 +145,8 @@ def catmull_rom_controls(
         of Catmull-Rom splines, 1988; C. Yuksel, S. Schaefer and J. Keyser,
         Parameterization and applications of Catmull-Rom curves, 2011.
 
-    >>> ins, outs = catmull_rom_controls([[0], [3], [6]], 0.5)
-    >>> ins.ravel().tolist(), outs.ravel().tolist()
+    >>> in_handles, out_handles = catmull_rom_controls([[0], [3], [6]], 0.5)
+    >>> in_handles.ravel().tolist(), out_handles.ravel().tolist()
     ([-1.0, -1.0, -1.0], [1.0, 1.0, 1.0])
     """
     points = as_floats(points, ("K", "D"), "points")
@@ -156,8 +156,8 @@ def catmull_rom_controls(
     path_points = np.concatenate([first, points, last])
     handles_after, handles_before = _inner_handles(path_points, alpha)
     # The outer handles of the ends have no segment and no effect.
-    ins = np.concatenate([-handles_after[:1], handles_before])
-    return ins, np.concatenate([handles_after, -handles_before[-1:]])
+    in_handles = np.concatenate([-handles_after[:1], handles_before])
+    return in_handles, np.concatenate([handles_after, -handles_before[-1:]])
 
 
 def _inner_handles(
@@ -268,7 +268,7 @@ class KeySlopes:
         if self._parametrization is Parametrization.UNIFORM:
             slopes = secant_slopes(self.times, self.values)
             return slopes[segments] * thirds, -slopes[segments + 1] * thirds
-        ins, outs = catmull_rom_controls(
+        in_handles, out_handles = catmull_rom_controls(
             self.values, _KNOT_POWERS[self._parametrization]
         )
-        return outs[segments], ins[segments + 1]
+        return out_handles[segments], in_handles[segments + 1]

@@ -101,9 +101,9 @@ def interpolate_keys(
     # Handles are at thirds of the segments around a key.
     slopes = auto_clamped(times, values[:, None])
     thirds = np.diff(times)[:, None] / 3
-    ins, outs = np.zeros(slopes.shape), np.zeros(slopes.shape)
-    ins[1:], outs[:-1] = -slopes[1:] * thirds, slopes[:-1] * thirds
-    curve = cubic_curves(times, values[:, None], ins, outs)
+    in_handles, out_handles = np.zeros(slopes.shape), np.zeros(slopes.shape)
+    in_handles[1:], out_handles[:-1] = -slopes[1:] * thirds, slopes[:-1] * thirds
+    curve = cubic_curves(times, values[:, None], in_handles, out_handles)
     return np.asarray(evaluate(curve, evaluation_times)[0])
 
 

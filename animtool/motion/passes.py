@@ -409,9 +409,7 @@ def _valid_curves(
         kept_controls = _unchanged_controls(source_take, result_take)
         return {name: curve for name, curve in curves.items() if name in kept_controls}
     time_mapping = linear_time.start, linear_time.ratio, linear_time.first
-    return {
-        name: curve.with_linear_time(*time_mapping) for name, curve in curves.items()
-    }
+    return {name: curve.retimed(*time_mapping) for name, curve in curves.items()}
 
 
 def _have_same_channels(rig: Rig, other_rig: Rig) -> bool:

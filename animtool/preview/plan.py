@@ -12,7 +12,7 @@ from animtool.core.names import has_kind_suffix
 from animtool.core.rates import rate_label
 from animtool.preview.open_file import OpenFile, TakeToShow, open_file, scene_to_show
 from animtool.preview.options import PreviewOptions
-from animtool.scene.bake.outline import create_outline
+from animtool.scene.bake.request import create_request
 from animtool.scene.bake.steps import PlanStep, StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 
@@ -54,7 +54,7 @@ def page_steps(
 def _bake_steps(path: Path, options: PreviewOptions) -> Iterator[PlanStep]:
     """Yield the steps of baking a scene, without its outputs."""
     scene = scene_to_show(load_scene(path, dict(options.variables)))
-    for step in bake_steps(create_outline(scene, None)):
+    for step in bake_steps(create_request(scene, None)):
         if step.kind is not StepKind.OUTPUT:
             yield step
 

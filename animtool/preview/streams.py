@@ -129,11 +129,12 @@ def _largest_difference(differences: Array) -> float:
 
 
 @dataclass(slots=True)
-class _Stream:
-    """A stream of the page and its encoded blocks."""
+class _PageStream:
+    """Quantized samples of one animated quantity, and the blocks that store them."""
 
     id: int
     quantized: QuantizedValues
+    # Index, first sample and number of samples of each block of the page.
     blocks: list[list[int]] = field(default_factory=list)
 
     @property
@@ -166,7 +167,7 @@ class StreamPacker:
     """Collects the streams of a page, and packs them into blocks."""
 
     def __init__(self) -> None:
-        self._streams: list[_Stream] = []
+        self._streams: list[_PageStream] = []
         self._static_indices: dict[tuple[object, ...], int] = {}
 
     def add(self, quantized: QuantizedValues) -> int:
@@ -184,7 +185,7 @@ class StreamPacker:
             index = self._static_indices.setdefault(static_key, index)
             if index < len(self._streams):
                 return index
-        self._streams.append(_Stream(index, quantized))
+        self._streams.append(_PageStream(index, quantized))
         return index
 
     def add_static(self, values: npt.ArrayLike, kind: str) -> int:
@@ -224,11 +225,11 @@ class StreamPacker:
                 blocks.append(deflate_base64(encoded_streams))
         return [stream.manifest_entry() for stream in self._streams], blocks
 
-    def _groups(self) -> list[tuple[list[_Stream], int]]:
+    def _groups(self) -> list[tuple[list[_PageStream], int]]:
         """Return groups of streams that share blocks, and the samples per block."""
-        groups: list[tuple[list[_Stream], int]] = []
-        static_streams: list[_Stream] = []
-        streams_by_length: dict[int, list[_Stream]] = {}
+        groups: list[tuple[list[_PageStream], int]] = []
+        static_streams: list[_PageStream] = []
+        streams_by_length: dict[int, list[_PageStream]] = {}
         for stream in self._streams:
             sample_count = len(stream.quantized.stored_values)
             if sample_count == 1:
@@ -251,10 +252,10 @@ class StreamPacker:
 
 
 def _split_by_size(
-    streams: Sequence[_Stream], max_bytes: int, samples_per_block: int
-) -> list[list[_Stream]]:
+    streams: Sequence[_PageStream], max_bytes: int, samples_per_block: int
+) -> list[list[_PageStream]]:
     """Group streams up to a total size; a larger stream forms its own group."""
-    groups: list[list[_Stream]] = []
+    groups: list[list[_PageStream]] = []
     group_bytes = 0
     for stream in streams:
         stream_bytes = stream.sample_bytes * samples_per_block

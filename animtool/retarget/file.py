@@ -300,21 +300,21 @@ def _check_distinct_joints(
 
 def _refuse_swapped_map(
     file: MapFile,
-    rig_by_side: Mapping[str, Rig],
-    joints_by_side: Mapping[str, Mapping[str, int]],
+    rig_by_map_side: Mapping[str, Rig],
+    joints_by_map_side: Mapping[str, Mapping[str, int]],
 ) -> None:
     """Raise a single fault if a map has source and target swapped (MAP001)."""
     document, entries = file.document, file.model.joints
     for side, other_side in (("source", "target"), ("target", "source")):
         names = [name for entry in entries for name in _name_list(getattr(entry, side))]
         if not all(
-            n in joints_by_side[other_side] and n not in joints_by_side[side]
+            n in joints_by_map_side[other_side] and n not in joints_by_map_side[side]
             for n in names
         ):
             return
     name = names[0]
     message = "source and target are swapped in this map: its targets, such as "
-    message += f"{name!r}, are joints of the source {rig_by_side['source'].name!r}"
+    message += f"{name!r}, are joints of the source {rig_by_map_side['source'].name!r}"
     hint = "swap the two names in each entry, or retarget in the other direction"
     document.add("MAP001", ("joints", 0), message, hint)
     document.check()

@@ -10,7 +10,7 @@ from pathlib import Path
 from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError
 from animtool.core.names import name_hint
-from animtool.core.readers import DOCUMENT, find_reader
+from animtool.core.readers import RIG_AND_CLIP_FILES, find_reader
 from animtool.core.units import LengthUnit, UpAxis
 from animtool.documents.arrays import Archives
 from animtool.documents.check import validate_file
@@ -299,7 +299,7 @@ def _load_base(
         document.add("RIG030", ("from",), message)
         return None
     try:
-        if find_reader(base_path) is DOCUMENT:
+        if find_reader(base_path) is RIG_AND_CLIP_FILES:
             return load_rig(base_path, parents)
         return Rig.load(base_path)
     except AnimtoolError as error:

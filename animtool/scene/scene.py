@@ -132,7 +132,7 @@ class Scene:
     ) -> Scene:
         """Return a copy with options of `SourceOptions` set on all its sources.
 
-        False and None keep those of the sources.
+        Options that are False or None keep the values of the sources.
         """
         if not force_fit and placement is None:
             return self
@@ -294,7 +294,7 @@ class Scene:
         *,
         is_retimed: bool,
     ) -> TakeStream:
-        """Return a take with its retimed props, or with its other props."""
+        """Return a take with the props added that passes retime, or all other props."""
         matching_props = [prop for prop in props if prop.entry.is_retimed is is_retimed]
         if not matching_props:
             return stream

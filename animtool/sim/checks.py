@@ -233,7 +233,7 @@ def _state_problems(equations: Equations, state: FloatArray) -> list[str]:
 
 
 def _rate_problems(equations: Equations, t: float, state: FloatArray) -> list[str]:
-    """Return messages about an initial rate of the wrong shape or invalid values."""
+    """Return messages if the initial rate has a wrong shape or is not finite."""
     if equations.second_order is not None:
         rate, expected_shape = equations.acceleration(t, *state), state.shape[1:]
         name, value_name = "the acceleration", "the acceleration of particle"

@@ -68,7 +68,7 @@ class _Context:
     begin, last, colliders = 0.0, 0.0, Colliders([])
 
     def __init__(self, parts: dict[str, Any]) -> None:
-        self.parts = parts
+        self.entry_data = parts
 
 
 def read_boids(path: Path) -> list[Boids]:

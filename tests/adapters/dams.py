@@ -80,7 +80,7 @@ class _Context:
     begin, last, budget = 0.0, 0.0, None
 
     def __init__(self, colliders: Colliders, parts: dict[str, Any]) -> None:
-        self.colliders, self.parts = colliders, parts
+        self.colliders, self.entry_data = colliders, parts
 
 
 def read_dams(path: Path) -> list[Dam]:

@@ -53,7 +53,7 @@ class _Context:
     begin, last, colliders, budget = 0.0, 0.0, Colliders([]), None
 
     def __init__(self, parts: dict[str, Any]) -> None:
-        self.parts = parts
+        self.entry_data = parts
 
 
 def nbody(

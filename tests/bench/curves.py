@@ -72,8 +72,8 @@ def as_curves(keys: Array) -> Curves:
         times=flat[:, 2].copy(),
         values=flat[:, 3].copy(),
         kinds=np.full(len(flat), SegmentKind.BEZIER),
-        ins=flat[:, :2] - flat[:, 2:4],
-        outs=flat[:, 4:] - flat[:, 2:4],
+        in_handles=flat[:, :2] - flat[:, 2:4],
+        out_handles=flat[:, 4:] - flat[:, 2:4],
         pre=(Extrapolation.HOLD,) * channels,
         post=(Extrapolation.HOLD,) * channels,
     )

@@ -84,7 +84,7 @@ class Drop:
         )
         parts = {"fills": [self.fill], "forces": []}
         context = SimpleNamespace(
-            begin=0.0, last=9.0, budget=None, colliders=Colliders([]), parts=parts
+            begin=0.0, last=9.0, budget=None, colliders=Colliders([]), entry_data=parts
         )
         step, states, pressures = 2 * math.pi / self.pulse / STEPS, [], []
 

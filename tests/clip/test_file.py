@@ -54,8 +54,8 @@ def test_a_good_clip(tmp_path: Path) -> None:
     assert hips.interps == (Interp.LINEAR, Interp.STEP)
     assert (hips.pre, hips.post) == (Extrapolation.LINEAR, Extrapolation.CYCLE_OFFSET)
     np.testing.assert_allclose(elbow.values, [[0.0], [np.pi / 2]])
-    np.testing.assert_allclose(elbow.outs[0], [2, np.pi / 6])
-    np.testing.assert_allclose(elbow.ins[1], [-1, -np.pi / 20])
+    np.testing.assert_allclose(elbow.out_handles[0], [2, np.pi / 6])
+    np.testing.assert_allclose(elbow.in_handles[1], [-1, -np.pi / 20])
     assert elbow.tangents == (
         (Tangent.FLAT, Tangent.FREE),
         (Tangent.FREE, Tangent.AUTO),

@@ -112,7 +112,7 @@ def as_bytes(reduction: Reduction) -> list[bytes]:
     return [
         getattr(c.keys, name).tobytes()
         for c in reduction.channels
-        for name in ("frames", "values", "ins", "outs")
+        for name in ("frames", "values", "in_handles", "out_handles")
     ]
 
 

@@ -75,8 +75,8 @@ def test_bezier_with_handles_of_its_own(
         [0, 6],
         [1, 4],
         tangent=Tangent.FREE,
-        outs=np.array([out, (0, 0)], float),
-        ins=np.array([(0, 0), into], float),
+        out_handles=np.array([out, (0, 0)], float),
+        in_handles=np.array([(0, 0), into], float),
     )
     at = np.linspace(0, 6, 61)
     points = [(0, 1), (out[0], 1 + out[1]), (6 + into[0], 4 + into[1]), (6, 4)]
@@ -101,8 +101,8 @@ def test_bezier_is_cubic_where_both_handles_are_at_thirds(
         [0, 6],
         [1, 4],
         tangent=Tangent.FREE,
-        outs=np.array([[out, 5.0], [0, 0]]),
-        ins=np.array([[0, 0], [into, 1.0]]),
+        out_handles=np.array([[out, 5.0], [0, 0]]),
+        in_handles=np.array([[0, 0], [into, 1.0]]),
     )
     assert component_curves([free]).kinds[0] == kind
 
@@ -115,8 +115,8 @@ def test_hermite_slopes_are_those_of_the_handles() -> None:
         VALUES,
         Interp.HERMITE,
         Tangent.FREE,
-        ins=np.stack([-lengths, -lengths * slopes], -1),
-        outs=np.stack([2 * lengths, 2 * lengths * (slopes + 1)], -1),
+        in_handles=np.stack([-lengths, -lengths * slopes], -1),
+        out_handles=np.stack([2 * lengths, 2 * lengths * (slopes + 1)], -1),
     )
     assert_slopes(channel, slopes, slopes + 1)
 

@@ -33,7 +33,7 @@ def _bezier(case: Case) -> tuple[FloatArray, float]:
         [key["in"] for key in keys],
         [key["out"] for key in keys],
     )
-    handles = np.abs([*curve.ins[:, 1], *curve.outs[:, 1]]).max()
+    handles = np.abs([*curve.in_handles[:, 1], *curve.out_handles[:, 1]]).max()
     return evaluate(curve, case["times"])[0], max(np.abs(curve.values).max(), handles)
 
 
@@ -46,7 +46,7 @@ def _hermite(case: Case) -> tuple[FloatArray, float]:
         slopes = {"secant": "secant_slopes", "nonuniform": "parabola_slopes"}
         ins = outs = getattr(tangents, slopes.get(kind, kind))(times, values)
     curve = hermite_curve(times, case["v"], ins[:, 0], outs[:, 0])
-    handles = np.abs([*curve.ins[:, 1], *curve.outs[:, 1]]).max()
+    handles = np.abs([*curve.in_handles[:, 1], *curve.out_handles[:, 1]]).max()
     return evaluate(curve, case["times"])[0], max(np.abs(values).max(), handles)
 
 

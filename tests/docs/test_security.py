@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from animtool.core.clock import MAX_FRAMES
+from animtool.core.clock import MAX_FRAME_COUNT
 from animtool.core.files.reading import MAX_INPUT_BYTES, MAX_TEXT_BYTES
 from animtool.core.rules import builtin_rules
 from animtool.documents import archive, fields, variables, yaml_values
 from animtool.documents.document import MAX_FAULTS
 from animtool.formats.bvh.lines import MAX_HEADER_LINES
-from animtool.scene.systems.run import MAX_STEPS
+from animtool.scene.systems.run import MAX_STEP_COUNT
 from animtool.usd.layers.sdf import MAX_LAYER_BYTES, MAX_TEXT_LAYER_BYTES
 
 
@@ -44,7 +44,7 @@ def test_its_limits_are_those_of_the_code(page: str) -> None:
     assert "4 GB, 1 TB" in page
     assert MAX_HEADER_LINES == 10**6
     assert "of the header: a million" in page
-    assert MAX_STEPS == MAX_FRAMES == 10**7
+    assert MAX_STEP_COUNT == MAX_FRAME_COUNT == 10**7
     assert page.count("| 10 million |") == 3
 
 

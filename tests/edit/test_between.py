@@ -22,7 +22,7 @@ from animtool.edit.layers import blend, layer
 from animtool.edit.looping import loop
 from animtool.edit.resample import resampled
 from animtool.edit.retiming import time_scale, time_warp, trim
-from animtool.edit.travel import nearby_positions
+from animtool.edit.travel import frame_positions
 from animtool.maths import so3
 from animtool.maths.curves import evaluate
 from animtool.motion.motion import Channel, Motion
@@ -282,9 +282,7 @@ def test_curves_between_frames_are_on_the_side_of_their_quaternions() -> None:
     take = Take(rig, clock, motion, curve=curve)
     between = TakeSampler.from_take(take)
     assert between.rows_on_curve
-    found = between.sample(nearby_positions(np.arange(9) / 2, 5)).rotations.dense()[
-        :, 0
-    ]
+    found = between.sample(frame_positions(np.arange(9) / 2, 5)).rotations.dense()[:, 0]
     assert ((found[1:] * found[:-1]).sum(axis=1) > 0.9).all()
     wanted = so3.from_axis_angle(np.array([0.0, 1, 0]), 0.375 * np.arange(9))
     np.testing.assert_allclose(found, wanted, atol=1e-12)

@@ -329,7 +329,7 @@ def test_as_many_frames_as_there_may_be_are_made(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """Of 5 frames at 24 a second 9 at 48 and at 53, and 10 at 54."""
-    monkeypatch.setattr("animtool.edit.frames.MAX_FRAMES", 9)
+    monkeypatch.setattr("animtool.edit.frames.MAX_FRAME_COUNT", 9)
     take = spin(5, Fraction(24))
     assert resampled(take, 48).motion.frames == 9
     assert resampled(take, 53).motion.frames == 9

@@ -73,7 +73,7 @@ def check_same(
             assert a.first == b.first
         case KeyedValue(first), KeyedValue(second):
             assert_array_equal(first.times, second.times)
-            for name in ("values", "ins", "outs", "tcb"):
+            for name in ("values", "in_handles", "out_handles", "tcb"):
                 one, other = getattr(first, name), getattr(second, name)
                 assert_allclose(one, other, atol=tolerance, rtol=0)
             for name in ("interps", "tangents", "euler", "pre", "post"):

@@ -37,8 +37,8 @@ def random_curves(seed: int, count: int = 3) -> Curves:
         times=times,
         values=rng.normal(size=keys),
         kinds=rng.integers(0, 4, keys),
-        ins=np.stack([-share[0], rng.normal(size=keys)], axis=-1),
-        outs=np.stack([share[1], rng.normal(size=keys)], axis=-1),
+        in_handles=np.stack([-share[0], rng.normal(size=keys)], axis=-1),
+        out_handles=np.stack([share[1], rng.normal(size=keys)], axis=-1),
         pre=tuple(modes[i] for i in rng.integers(0, len(modes), count)),
         post=tuple(modes[i] for i in rng.integers(0, len(modes), count)),
     )
@@ -60,7 +60,7 @@ def test_curves_do_not_know_each_other(seed: int) -> None:
     ):
         arrays = {
             name: getattr(curves, name)[start:end]
-            for name in ("times", "values", "kinds", "ins", "outs")
+            for name in ("times", "values", "kinds", "in_handles", "out_handles")
         }
         alone = replace(
             curves,
@@ -218,7 +218,7 @@ def test_no_times_give_no_values() -> None:
     assert evaluate(curves, []).shape == (3, 0)
 
 
-ARRAYS = ("times", "values", "kinds", "ins", "outs")
+ARRAYS = ("times", "values", "kinds", "in_handles", "out_handles")
 
 FAULTS = {
     "first_keys": ("first_keys", np.array([0, 1])),
@@ -226,10 +226,10 @@ FAULTS = {
     "times: .* not finite": ("times", np.array([0.0, np.nan])),
     "values: nan": ("values", np.array([np.nan, 0.0])),
     "values must have": ("values", np.zeros(3)),
-    "ins must have": ("ins", np.zeros((2, 3))),
-    "outs: .* not finite": ("outs", np.full((2, 2), np.inf)),
+    "ins must have": ("in_handles", np.zeros((2, 3))),
+    "outs: .* not finite": ("out_handles", np.full((2, 2), np.inf)),
     "kinds: 7": ("kinds", np.array([7, 0])),
-    "outs: .* points away": ("outs", np.array([[-1.0, 0.0], [0.0, 0.0]])),
+    "outs: .* points away": ("out_handles", np.array([[-1.0, 0.0], [0.0, 0.0]])),
     "pre and post": ("pre", ()),
 }
 

@@ -47,8 +47,8 @@ def test_keys_lie_on_samples_in_order(values, tolerance) -> None:
     assert len(keys.frames) == 1 or keys.frames[-1] == len(values) - 1
     np.testing.assert_array_equal(keys.values, values[keys.frames])
     np.testing.assert_array_equal(evaluate_keys(keys, keys.frames), keys.values)
-    assert not keys.ins[0].any()
-    assert not keys.outs[-1].any()
+    assert not keys.in_handles[0].any()
+    assert not keys.out_handles[-1].any()
 
 
 @given(samples(), st.sampled_from([2.0**-20, 0.5, 4.0, 2.0**30]))
@@ -57,13 +57,13 @@ def test_scaling_values_and_tolerance_changes_nothing(values, factor) -> None:
     values = np.round(values, 6)
     one, other = fit_keys(values, 0.25), fit_keys(values * factor, 0.25 * factor)
     np.testing.assert_array_equal(one.frames, other.frames)
-    np.testing.assert_allclose(one.outs * factor, other.outs, rtol=1e-12)
+    np.testing.assert_allclose(one.out_handles * factor, other.out_handles, rtol=1e-12)
 
 
 @given(samples())
 def test_the_same_samples_give_the_same_bytes(values) -> None:
     one, other = fit_keys(values, 0.1), fit_keys(values.copy(), 0.1)
-    for name in ("frames", "values", "ins", "outs"):
+    for name in ("frames", "values", "in_handles", "out_handles"):
         assert getattr(one, name).tobytes() == getattr(other, name).tobytes()
 
 
@@ -143,11 +143,11 @@ def test_a_key_is_smooth_where_both_slopes_are_one() -> None:
     t = np.arange(101.0)[:, None]
     keys = fit_keys((t / 50 - 1) ** 3, 1e-6, anchors=[30, 71])
     lengths = np.diff(keys.frames)[:, None]
-    before, after = keys.ins[1:] / -lengths, keys.outs[:-1] / lengths
+    before, after = keys.in_handles[1:] / -lengths, keys.out_handles[:-1] / lengths
     np.testing.assert_allclose(before[:-1], after[1:], rtol=1e-9)
     corner = fit_keys(np.abs(t - 50), 1e-3)
     assert corner.frames.tolist() == [0, 50, 100]
-    assert corner.outs[1] > 0 < corner.ins[1]
+    assert corner.out_handles[1] > 0 < corner.in_handles[1]
 
 
 @pytest.mark.parametrize("offset", [0.0, 1e6])

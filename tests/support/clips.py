@@ -16,7 +16,7 @@ from animtool.maths.tangents import Tangent
 from animtool.rig.file import load_rig
 from animtool.rig.skeleton import Rig
 
-ARRAYS = {"times", "values", "ins", "outs", "tcb"}
+ARRAYS = {"times", "values", "in_handles", "out_handles", "tcb"}
 # Every joint type, in centimetres and degrees; rest frames are turned.
 RIG = """rig: animtool/1
 name: hero
@@ -97,8 +97,8 @@ def channel_of(
     values = np.asarray(values, np.float64).reshape(len(times), -1)
     count, width = values.shape
     given: dict[str, object] = {
-        "ins": np.zeros((count, 1 + width)),
-        "outs": np.zeros((count, 1 + width)),
+        "in_handles": np.zeros((count, 1 + width)),
+        "out_handles": np.zeros((count, 1 + width)),
         "tcb": np.zeros((count, 3)),
         "tangents": ((tangent, tangent),) * count,
         "interps": (interp,) * count if isinstance(interp, Interp) else interp,

@@ -12,8 +12,8 @@ def one_curve(
     times: ArrayLike,
     values: ArrayLike,
     kinds: ArrayLike = SegmentKind.LINEAR,
-    ins: ArrayLike = (0.0, 0.0),
-    outs: ArrayLike = (0.0, 0.0),
+    in_handles: ArrayLike = (0.0, 0.0),
+    out_handles: ArrayLike = (0.0, 0.0),
     pre: Extrapolation = Extrapolation.HOLD,
     post: Extrapolation = Extrapolation.HOLD,
 ) -> Curves:
@@ -25,8 +25,10 @@ def one_curve(
         times=times,
         values=np.array(values, np.float64),
         kinds=np.broadcast_to(np.array(kinds, np.int64), count).copy(),
-        ins=np.broadcast_to(np.array(ins, np.float64), (count, 2)).copy(),
-        outs=np.broadcast_to(np.array(outs, np.float64), (count, 2)).copy(),
+        in_handles=np.broadcast_to(np.array(in_handles, np.float64), (count, 2)).copy(),
+        out_handles=np.broadcast_to(
+            np.array(out_handles, np.float64), (count, 2)
+        ).copy(),
         pre=(pre,),
         post=(post,),
     )

@@ -335,18 +335,23 @@ def _name_first_runs(
 
     Return None if no group of runs fits the markers at rest.
     """
-    frames, long_runs = _find_first_span(tracklets, len(cloud), float(cloud.clock.rate))
+    frames, long_tracklets = _find_first_span(
+        tracklets, len(cloud), float(cloud.clock.rate)
+    )
     rest_distances = np.linalg.norm(rest_shape[:, None] - rest_shape[None], axis=-1)
-    column_of_run = np.full(len(tracklets.first) + 1, -1)
-    column_of_run[long_runs] = np.arange(len(long_runs))
+    column_of_tracklet = np.full(len(tracklets.first) + 1, -1)
+    column_of_tracklet[long_tracklets] = np.arange(len(long_tracklets))
     points = positions_by_column(
-        cloud.positions[frames], tracklets.ids[frames], column_of_run, len(long_runs)
+        cloud.positions[frames],
+        tracklets.ids[frames],
+        column_of_tracklet,
+        len(long_tracklets),
     )
     markers = identify_runs(points, rest_shape, rest_distances)
     if markers is None:
         return None
     run_markers = np.full(len(tracklets.first), -1)
-    run_markers[long_runs] = markers
+    run_markers[long_tracklets] = markers
     return run_markers
 
 

@@ -102,10 +102,14 @@ def fitted_channel(
     times = float(clock.start) + keys.frames.astype(np.float64) * float(clock.step)
     intervals = np.diff(times)[:, None]
     key_count, component_count = keys.values.shape
-    ins, outs = np.zeros((2, key_count, 1 + component_count))
-    ins[1:, 0], outs[:-1, 0] = -1.0, 1.0
-    ins[1:, 1:] = _round_in_unit(3 * keys.ins[1:] / intervals * factor, unit)
-    outs[:-1, 1:] = _round_in_unit(3 * keys.outs[:-1] / intervals * factor, unit)
+    in_handles, out_handles = np.zeros((2, key_count, 1 + component_count))
+    in_handles[1:, 0], out_handles[:-1, 0] = -1.0, 1.0
+    in_handles[1:, 1:] = _round_in_unit(
+        3 * keys.in_handles[1:] / intervals * factor, unit
+    )
+    out_handles[:-1, 1:] = _round_in_unit(
+        3 * keys.out_handles[:-1] / intervals * factor, unit
+    )
     free_tangents = (Tangent.FREE,) * (key_count - 1)
     tangents_before = Tangent.AUTO_CLAMPED, *free_tangents
     tangents_after = *free_tangents, Tangent.AUTO_CLAMPED
@@ -115,8 +119,8 @@ def fitted_channel(
         _round_in_unit(keys.values * factor, unit),
         (Interp.HERMITE,) * key_count,
         tuple(zip(tangents_before, tangents_after, strict=True)),
-        ins,
-        outs,
+        in_handles,
+        out_handles,
         np.zeros((key_count, 3)),
         euler=euler,
     )

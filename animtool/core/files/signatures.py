@@ -116,8 +116,8 @@ def format_mismatch(
 ) -> Fault | None:
     """Return a fault if the first bytes of a file show a format other than expected.
 
-    The expected format has an article: ``a GLB file``. The hint is for files with the
-    right name, so that another file is meant; it is empty if such files are read.
+    The expected format has an article: ``a GLB file``. ``hint`` is used if the suffix
+    matches the detected format; without it, such a file has no fault.
     """
     path = Path(path)
     try:

@@ -25,8 +25,8 @@ MAGIC = 80
 MAX_PARAMETERS = 20_000
 # Range of plausible scales and rates [1/s] of captures; values in the wrong byte order
 # are outside it.
-MIN_SCALE, MAX_SCALE = 1e-8, 1e5
-MIN_RATE, MAX_RATE = 0.5, 1e5
+MIN_POINT_SCALE, MAX_POINT_SCALE = 1e-8, 1e5
+MIN_FRAME_RATE, MAX_FRAME_RATE = 0.5, 1e5
 
 
 class MalformedError(ValueError):
@@ -189,8 +189,8 @@ def _is_plausible_header(header: Header, size: int) -> bool:
         header.point_count > 0
         and header.last_frame >= header.first_frame
         and header.data_block <= max(255, 1 + size // BLOCK_BYTES)
-        and MIN_SCALE < abs(scale) < MAX_SCALE
-        and MIN_RATE < rate < MAX_RATE
+        and MIN_POINT_SCALE < abs(scale) < MAX_POINT_SCALE
+        and MIN_FRAME_RATE < rate < MAX_FRAME_RATE
     )
 
 

@@ -23,12 +23,12 @@ from animtool.motion.markers import Markers
 MAX_PARAMETER_ENTRIES = 255
 MAX_NAME_BYTES = 255
 # Largest count in header and parameters, which are 16-bit.
-MAX_COUNT = 65535
-MAX_CAMERAS = 7
+MAX_STORED_COUNT = 65535
+MAX_CAMERAS_PER_POINT = 7
 # Bytes before the parameters: first block, number of blocks, and processor.
-_PARAMETER_HEAD_BYTES = 4
+_PARAMETER_HEADER_BYTES = 4
 # Maximum parameter blocks, counted in a byte.
-MAX_BLOCKS = 255
+MAX_PARAMETER_BLOCKS = 255
 # Steps of a residual, which is a byte; 0 means that a point was not measured.
 RESIDUAL_STEPS = 255
 # Integer range from which readers expect the scale of floats to be derived.
@@ -62,24 +62,26 @@ def write_c3d(
 
     path = Path(path)
     check_outputs([path], [], overwrite=overwrite)
-    head = _build_head(markers, path)
-    write_parts(path, _file_chunks(markers, head))
+    header_bytes = _build_header(markers, path)
+    write_parts(path, _file_chunks(markers, header_bytes))
     return _data_loss_notice(markers, str(path))
 
 
-def _build_head(markers: Markers, path: Path) -> bytes:
+def _build_header(markers: Markers, path: Path) -> bytes:
     """Return the bytes of header and parameters."""
     frame_count, marker_count = markers.positions.shape[:2]
     block_count = 1
     # The parameters contain the start of the data, so their size is needed first.
     parameters = _build_parameters(markers, 2 + block_count)
-    block_count = -(-(_PARAMETER_HEAD_BYTES + len(parameters)) // BLOCK_BYTES)
+    block_count = -(-(_PARAMETER_HEADER_BYTES + len(parameters)) // BLOCK_BYTES)
     if (
-        not 0 < marker_count <= MAX_COUNT
-        or block_count > MAX_BLOCKS
+        not 0 < marker_count <= MAX_STORED_COUNT
+        or block_count > MAX_PARAMETER_BLOCKS
         or frame_count == 0
     ):
-        message = f"a C3D holds 1 to {MAX_COUNT} markers with 130000 bytes of names, "
+        message = (
+            f"a C3D holds 1 to {MAX_STORED_COUNT} markers with 130000 bytes of names, "
+        )
         message += f"and at least one frame, not {marker_count} in {frame_count} frames"
         raise OptionError(Fault("C3D010", message, str(path), (), "write .npz"))
     parameters = _build_parameters(markers, 2 + block_count)
@@ -97,9 +99,9 @@ def _build_head(markers: Markers, path: Path) -> bytes:
 def _header_frame_range(clock: Clock) -> tuple[int, int]:
     """Return the first and last frame number, clamped to the header's range."""
     first, last = _frame_range(clock)
-    if last <= MAX_COUNT:
+    if last <= MAX_STORED_COUNT:
         return first, last
-    return 1, min(clock.count, MAX_COUNT)
+    return 1, min(clock.count, MAX_STORED_COUNT)
 
 
 def _frame_range(clock: Clock) -> tuple[int, int]:
@@ -122,7 +124,7 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
     """Return the bytes of the parameter section after its first four bytes."""
     frame_count, marker_count = markers.positions.shape[:2]
     first, last = _frame_range(markers.clock)
-    clamped_count = min(frame_count, MAX_COUNT)
+    clamped_count = min(frame_count, MAX_STORED_COUNT)
     point_group: dict[str, bytes] = {
         "USED": _integer_parameter([marker_count]),
         "SCALE": _float_parameter([_residual_scale(markers)]),
@@ -133,7 +135,7 @@ def _build_parameters(markers: Markers, data_block: int) -> bytes:
         "X_SCREEN": _text_parameter(["+X"]),
         "Y_SCREEN": _text_parameter([f"+{markers.up}"]),
     }
-    if frame_count > MAX_COUNT:
+    if frame_count > MAX_STORED_COUNT:
         point_group["LONG_FRAMES"] = _float_parameter([frame_count])
     point_group |= _continued_parameter("LABELS", markers.names, _text_parameter)
     blanks = [""] * marker_count
@@ -210,16 +212,16 @@ def _filled_spans(markers: Markers) -> list[tuple[int, int, int]]:
     return spans
 
 
-def _file_chunks(markers: Markers, head: bytes) -> Iterator[bytes]:
-    yield head
-    written_bytes = len(head)
+def _file_chunks(markers: Markers, header_bytes: bytes) -> Iterator[bytes]:
+    yield header_bytes
+    written_bytes = len(header_bytes)
     for begin in range(0, len(markers), BLOCK_FRAMES):
         frame_bytes = _frame_rows(markers, slice(begin, begin + BLOCK_FRAMES))
         written_bytes += len(frame_bytes)
         yield frame_bytes
     # If the header cannot store the number of frames, readers derive it from the file
     # size; zeros up to a full block would become frames.
-    if len(markers) < MAX_COUNT:
+    if len(markers) < MAX_STORED_COUNT:
         yield b"\0" * (-written_bytes % BLOCK_BYTES)
 
 
@@ -233,7 +235,7 @@ def _frame_rows(markers: Markers, frames: slice) -> bytes:
         residual_steps = np.rint(np.where(is_finite, steps, 0.0)).astype(np.int64)
         words += np.where(is_finite, np.clip(residual_steps, 1, RESIDUAL_STEPS), 0)
     if markers.cameras is not None:
-        camera_counts = np.clip(markers.cameras[frames], 0, MAX_CAMERAS)
+        camera_counts = np.clip(markers.cameras[frames], 0, MAX_CAMERAS_PER_POINT)
         words += ((1 << camera_counts.astype(np.int64)) - 1) << 8
     if markers.filled is not None:
         words[markers.filled[frames]] = 0
@@ -245,10 +247,11 @@ def _frame_rows(markers: Markers, frames: slice) -> bytes:
 def _data_loss_notice(markers: Markers, path: str) -> list[Fault]:
     """Return warnings about data that C3D cannot store."""
     lost_contents = []
-    if markers.cameras is not None and (markers.cameras > MAX_CAMERAS).any():
+    if markers.cameras is not None and (markers.cameras > MAX_CAMERAS_PER_POINT).any():
         max_camera_count = int(markers.cameras.max())
         lost_contents.append(
-            f"more than {MAX_CAMERAS} cameras per point, here up to {max_camera_count}"
+            f"more than {MAX_CAMERAS_PER_POINT} cameras per point, here up to "
+            f"{max_camera_count}"
         )
     if markers.clock.start.denominator != 1 or markers.clock.start < 0:
         lost_contents.append(f"the first frame {markers.clock.start}")

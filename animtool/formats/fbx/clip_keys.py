@@ -210,11 +210,11 @@ class _ClipBuilder:
     ) -> ClipChannel:
         """Return a channel with key values transformed by a matrix and an offset."""
         fps = float(self.clock.fps)
-        ins, outs = (
+        in_handles, out_handles = (
             np.concatenate(
                 [handles[:, :1] * fps, handles[:, 1:] @ value_matrix.T], axis=1
             )
-            for handles in (keys.ins, keys.outs)
+            for handles in (keys.in_handles, keys.out_handles)
         )
         key_count = len(keys.ticks)
         return ClipChannel(
@@ -223,8 +223,8 @@ class _ClipBuilder:
             keys.values @ value_matrix.T + offset,
             keys.interps,
             ((Tangent.FREE, Tangent.FREE),) * key_count,
-            ins,
-            outs,
+            in_handles,
+            out_handles,
             np.zeros((key_count, 3)),
             euler=euler_order,
             pre=keys.pre,

@@ -40,8 +40,8 @@ class JoinedKeys:
     # Interpolation of the segment after each key, K entries.
     interps: tuple[Interp, ...]
     # Handles before the keys, as offsets: time [s], then values ``(K, 1 + D)``.
-    ins: FloatArray
-    outs: FloatArray  # handles after the keys, likewise
+    in_handles: FloatArray
+    out_handles: FloatArray  # handles after the keys, likewise
     pre: Extrapolation  # extrapolation before the first key
     post: Extrapolation  # extrapolation after the last key
 
@@ -68,15 +68,20 @@ def join_keys(track: PropertyTrack, default_values: FloatArray) -> JoinedKeys | 
         return None
     seconds = np.diff(ticks) / TICKS_PER_SECOND
     key_count, component_count = len(ticks), len(curves)
-    ins = np.zeros((key_count, 1 + component_count))
-    outs = np.zeros((key_count, 1 + component_count))
-    outs[:-1, 0], ins[1:, 0] = weights[:, 0] * seconds, -weights[:, 1] * seconds
+    in_handles = np.zeros((key_count, 1 + component_count))
+    out_handles = np.zeros((key_count, 1 + component_count))
+    out_handles[:-1, 0], in_handles[1:, 0] = (
+        weights[:, 0] * seconds,
+        -weights[:, 1] * seconds,
+    )
     columns = [1 + i for i, curve in enumerate(curves) if curve is not None]
     for column, segmented_curve in zip(columns, segmented_curves, strict=True):
-        outs[:-1, column] = segmented_curve.out_slopes * outs[:-1, 0]
-        ins[1:, column] = segmented_curve.in_slopes * ins[1:, 0]
+        out_handles[:-1, column] = segmented_curve.out_slopes * out_handles[:-1, 0]
+        in_handles[1:, column] = segmented_curve.in_slopes * in_handles[1:, 0]
     values, interps = track.evaluate(default_values, ticks), [*interps, Interp.LINEAR]
-    return JoinedKeys(ticks, values, tuple(interps), ins, outs, *extrapolation)
+    return JoinedKeys(
+        ticks, values, tuple(interps), in_handles, out_handles, *extrapolation
+    )
 
 
 def _common_extrapolation(

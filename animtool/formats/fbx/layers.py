@@ -74,7 +74,7 @@ class LayerValues:
 
 @dataclass(slots=True, eq=False)
 class PropertyTrack:
-    """The curves of an object's property of D components, layer by layer."""
+    """The curves of a property with D components, one set of curves per layer."""
 
     name: str  # name such as ``Lcl Rotation``
     layers: list[LayerValues] = field(default_factory=list)  # layers from bottom to top

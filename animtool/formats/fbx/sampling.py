@@ -9,7 +9,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.clock import MAX_FRAMES, Clock
+from animtool.core.clock import MAX_FRAME_COUNT, Clock
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import rate_label
 from animtool.formats.characters.stream import build_sampled_stream
@@ -168,7 +168,7 @@ def find_frame_range(
     last_frame = max(first_frame, last_frame)
     count = last_frame - first_frame + 1
     value_count = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
-    if count > MAX_FRAMES or value_count > MAX_TAKE_VALUES:
+    if count > MAX_FRAME_COUNT or value_count > MAX_TAKE_VALUES:
         message = (
             f"take {take.name!r}: {(end_ticks - start_ticks) / TICKS_PER_SECOND:.6g} s "
             f"at {rate_label(rate)} are {count} frames of {values_per_frame} numbers, "

@@ -98,23 +98,28 @@ def _clip_channel(
 ) -> ClipChannel:
     """Return a channel; slopes [1/frame] become handles at thirds of segments."""
     key_count, width = values.shape
-    ins, outs = np.zeros((key_count, 1 + width)), np.zeros((key_count, 1 + width))
+    in_handles, out_handles = (
+        np.zeros((key_count, 1 + width)),
+        np.zeros((key_count, 1 + width)),
+    )
     tangent = Tangent.AUTO_CLAMPED
     if slopes is not None:
         tangent = Tangent.FREE
         handle_times = np.diff(times)[:, None] / 3
-        outs[:-1] = np.concatenate(
+        out_handles[:-1] = np.concatenate(
             [handle_times, handle_times * slopes[1][:-1]], axis=1
         )
-        ins[1:] = np.concatenate([-handle_times, -handle_times * slopes[0][1:]], axis=1)
+        in_handles[1:] = np.concatenate(
+            [-handle_times, -handle_times * slopes[0][1:]], axis=1
+        )
     return ClipChannel(
         target,
         times,
         values,
         (interp,) * key_count,
         ((tangent, tangent),) * key_count,
-        ins,
-        outs,
+        in_handles,
+        out_handles,
         np.zeros((key_count, 3)),
     )
 

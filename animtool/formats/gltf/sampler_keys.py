@@ -150,22 +150,22 @@ def _convert_cubic_keys(
 ) -> SamplerKeys | None:
     """Convert Bézier keys with handles at thirds to cubic splines; else None."""
     durations = np.diff(channel.times)
-    outs, ins = channel.outs[:-1], channel.ins[1:]
+    out_handles, in_handles = channel.out_handles[:-1], channel.in_handles[1:]
     is_free = all(
         t[1] is Tangent.FREE and a[0] is Tangent.FREE
         for t, a in zip(channel.tangents[:-1], channel.tangents[1:], strict=True)
     )
     deviation = max(
-        float(np.abs(outs[:, 0] - durations / 3).max(initial=0.0)),
-        float(np.abs(-ins[:, 0] - durations / 3).max(initial=0.0)),
+        float(np.abs(out_handles[:, 0] - durations / 3).max(initial=0.0)),
+        float(np.abs(-in_handles[:, 0] - durations / 3).max(initial=0.0)),
     )
     if not is_free or deviation > HANDLE_TOLERANCE * float(durations.max(initial=1.0)):
         return None
     third_duration = (np.diff(seconds) / 3)[:, None]
     in_slopes = np.zeros(channel.values.shape)
     out_slopes = np.zeros(channel.values.shape)
-    out_slopes[:-1] = outs[:, 1:] / third_duration
-    in_slopes[1:] = -ins[:, 1:] / third_duration
+    out_slopes[:-1] = out_handles[:, 1:] / third_duration
+    in_slopes[1:] = -in_handles[:, 1:] / third_duration
     return SamplerKeys(seconds, channel.values, "CUBICSPLINE", in_slopes, out_slopes)
 
 

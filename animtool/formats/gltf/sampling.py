@@ -78,13 +78,13 @@ class GltfSampler:
                 values = _kernels.unpack_rotations(channel_keys, None)
                 return Channel(rest_values, rows, values)
         values = np.empty((len(times), len(rig_tracks), rest_values.shape[1]))
-        column_groups = _group_tracks(rig_tracks)
+        track_groups = _group_tracks(rig_tracks)
         factors = np.array([rig_track.factor for rig_track in rig_tracks])[:, None]
         has_scale = bool((factors != 1.0).any())
         # A chunk stays in the processor's cache.
         for first in range(0, len(times) if rig_tracks else 0, CHUNK_FRAMES):
             chunk = slice(first, min(first + CHUNK_FRAMES, len(times)))
-            for columns in column_groups:
+            for columns in track_groups:
                 tracks = [rig_tracks[k].track for k in columns]
                 values[chunk, columns] = self._track_values(tracks, times, chunk)
             if has_scale:

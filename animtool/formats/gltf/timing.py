@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import MAX_FRAMES
+from animtool.core.clock import MAX_FRAME_COUNT
 from animtool.core.errors import Fault, FormatError, Severity
 from animtool.core.rates import parse_rate, rate_label
 from animtool.core.record import dataclass
@@ -84,7 +84,7 @@ def find_frame_range(
         math.ceil(last_time * float(rate) - _frame_tolerance(last_time, rate)),
     )
     count = last_frame - first_frame + 1
-    if count > MAX_FRAMES or count * max(values_per_frame, 1) > MAX_TAKE_VALUES:
+    if count > MAX_FRAME_COUNT or count * max(values_per_frame, 1) > MAX_TAKE_VALUES:
         duration = last_time - first_time
         message = f"{duration:.6g} s at {rate_label(rate)} are {count} frames of "
         message += f"{values_per_frame} numbers, above the limit"

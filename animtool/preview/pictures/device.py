@@ -78,7 +78,7 @@ class Device:
         self.gl = _create_context(self.moderngl)
         self.gl.enable(self.moderngl.PROGRAM_POINT_SIZE)
         self._program_by_key: dict[tuple[str, ...], Any] = {}
-        self._empty_array_by_program: dict[Any, Any] = {}
+        self._empty_vertex_array_by_program: dict[Any, Any] = {}
 
     def program(
         self,
@@ -126,10 +126,12 @@ class Device:
         self, program: Any, vertex_count: int, mode: int | None = None
     ) -> None:
         """Draw triangles whose corners the vertex shader generates."""
-        if program not in self._empty_array_by_program:
-            self._empty_array_by_program[program] = self.gl.vertex_array(program, [])
+        if program not in self._empty_vertex_array_by_program:
+            self._empty_vertex_array_by_program[program] = self.gl.vertex_array(
+                program, []
+            )
         mode = self.moderngl.TRIANGLES if mode is None else mode
-        self._empty_array_by_program[program].render(mode, vertices=vertex_count)
+        self._empty_vertex_array_by_program[program].render(mode, vertices=vertex_count)
 
     @contextmanager
     def blending(self) -> Iterator[None]:

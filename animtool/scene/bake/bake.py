@@ -13,11 +13,11 @@ from animtool.core.files.output import atomic_outputs
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.frames import BakedTake
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, create_outline
 from animtool.scene.bake.plan import plan_outputs
 from animtool.scene.bake.prims import BakePlan, BakeReport, BakeState
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, SourceSet
+from animtool.scene.bake.request import BakeRequest, create_request
 
 if TYPE_CHECKING:
     from animtool.scene.bake.files import ConvertReport
@@ -52,16 +52,16 @@ def bake(
         ToleranceError: A system stopped before the last frame. With ``keep_stopped``
             it is the report's ``stopped``, and the frames before are in the output.
     """
-    outline = create_outline(source, output, options)
-    if not any(entry.is_stage for entry in outline.outputs):
-        entry = outline.outputs[0]
+    request = create_request(source, output, options)
+    if not any(entry.is_stage for entry in request.outputs):
+        entry = request.outputs[0]
         hint = "animtool.convert writes files of other formats"
         if entry.location is not None:
             message = "the scene names no USD file"
             raise OptionError(entry.location.fault("SCN044", message, hint))
         message = "is not a USD file"
         raise OptionError(Fault("OUT004", message, str(entry.path), (), hint))
-    reports = bake_outline(outline, progress=progress)
+    reports = run_request(request, progress=progress)
     return next(report for report in reports if isinstance(report, BakeReport))
 
 
@@ -90,16 +90,18 @@ def bake_outputs(
             writes one.
         progress: Called with the fraction done, 0 to 1.
     """
-    outline = create_outline(source, output, options, base=base, rig_file=rig_file)
-    return bake_outline(outline, progress=progress)
+    request = create_request(source, output, options, base=base, rig_file=rig_file)
+    return run_request(request, progress=progress)
 
 
-def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputReport]:
-    """Plan and run the bake of an outline, atomically; see `bake_outputs`."""
+def run_request(
+    request: BakeRequest, *, progress: Progress = None
+) -> list[OutputReport]:
+    """Plan and run a requested bake, atomically; see `bake_outputs`."""
     reports: list[OutputReport] = []
     # Passes may save states as soon as a source is opened.
     with atomic_outputs():
-        plans = plan_outputs(outline, progress=progress)
+        plans = plan_outputs(request, progress=progress)
         for i, plan in enumerate(plans):
             reads_takes = not isinstance(plan, BakePlan) or bool(plan.takes)
             output_progress = part_progress(progress, 1, 2) if reads_takes else progress
@@ -115,16 +117,16 @@ def bake_outline(outline: Outline, *, progress: Progress = None) -> list[OutputR
 
 
 def bake_take(
-    stream: TakeStream, outline: Outline, *, progress: Progress = None
+    stream: TakeStream, request: BakeRequest, *, progress: Progress = None
 ) -> OutputReport:
-    """Write an open take to the single output of an outline.
+    """Write an open take to the single output of a request.
 
     The take can be read once, and its blocks may be computed while they are read. The
-    outline also states the file that messages name as the source.
+    request also states the file that messages name as the source.
     """
-    source_set = SourceSet(outline.source_set.files[:1], {}, (stream,))
-    outline = replace(outline, source_set=source_set)
-    (report,) = bake_outline(outline, progress=progress)
+    source_set = SourceSet(request.source_set.files[:1], {}, (stream,))
+    request = replace(request, source_set=source_set)
+    (report,) = run_request(request, progress=progress)
     return report
 
 

@@ -69,7 +69,7 @@ class ConvertReport:
 
     @property
     def named(self) -> list[Path]:
-        """The main file in a list, for reports of solves."""
+        """Written files that the report of a solve lists: only the main file."""
         return [self.output]
 
     @property

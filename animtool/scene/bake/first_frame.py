@@ -1,7 +1,7 @@
 """The first output frame of a take that starts between two frames.
 
-A 25 fps take that a stage of 24 time codes a second refers to has its frame 1001 at
-time code 960.96.
+In a stage of 24 time codes a second, frame 1001 of a referenced 25 fps take is at time
+code 960.96.
 """
 
 from __future__ import annotations

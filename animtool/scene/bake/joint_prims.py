@@ -49,8 +49,12 @@ class JointPrims:
         if plan.form is LayerForm.LIBRARY and plan.target is not None:
             from animtool.usd.takes.library import merge_take
 
-            added_take = (authored_layers.animation, job.paths, plan.takes[0].name)
-            authored_layers.animation = merge_take(plan.target.path, *added_take)
+            authored_layers.animation = merge_take(
+                plan.target.path,
+                authored_layers.animation,
+                job.paths,
+                plan.takes[0].name,
+            )
         notices = [notice for take in plan.takes for notice in take.stream.notices]
         notices += plan.notices + job.names.notices + result.notices
         state.layer = authored_layers.animation
@@ -234,6 +238,6 @@ def _kept_curves(plan: TakePlan) -> dict[str, Curves]:
     first_code = float(stream.first_frame)
     ratio = float(plan.fps / stream.fps)
     return {
-        name: curves.with_linear_time(first_code, ratio, float(plan.start))
+        name: curves.retimed(first_code, ratio, float(plan.start))
         for name, curves in stream.control_curves.items()
     }

@@ -41,7 +41,7 @@ class BakeOptions:
         root_motion: Whether the SkelRoot carries the motion of the first root joint.
 
     Raises:
-        OptionError: fps is no rate (SCN022), or start no frame (SCN033).
+        OptionError: fps is not a rate (SCN022), or start is not a frame (SCN033).
     """
 
     source: SourceOptions = field(default_factory=SourceOptions)

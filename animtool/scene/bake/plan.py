@@ -32,18 +32,18 @@ from animtool.motion.take import Take, TakeStream
 from animtool.scene.bake.first_frame import start_frame_at_rate
 from animtool.scene.bake.frames import TakePlan
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import (
-    Outline,
-    OutputEntry,
-    check_outline,
-    check_output_options,
-    create_outline,
-    duplicate_outputs,
-    take_name,
-)
 from animtool.scene.bake.prims import BakePlan, OutputPrims
 from animtool.scene.bake.progress import Progress, part_progress
 from animtool.scene.bake.reading import Source, layer_form
+from animtool.scene.bake.request import (
+    BakeRequest,
+    OutputEntry,
+    check_output_options,
+    check_request,
+    create_request,
+    duplicate_outputs,
+    take_name,
+)
 from animtool.scene.sources.open import is_usd, source_stem
 from animtool.usd.layers.jobs import LayerForm
 
@@ -65,19 +65,21 @@ def plan_stage(
     options: BakeOptions | None = None,
 ) -> BakePlan:
     """Return the plan of a bake to one USD file, or `STDOUT`."""
-    outline = create_outline(source, output, options)
-    (plan,) = plan_outputs(outline)
+    request = create_request(source, output, options)
+    (plan,) = plan_outputs(request)
     if isinstance(plan, BakePlan):
         return plan
     raise OptionError(Fault("OUT004", "is not a USD file", str(output)))
 
 
-def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputPlan]:
+def plan_outputs(
+    request: BakeRequest, *, progress: Progress = None
+) -> list[OutputPlan]:
     """Open the sources, check everything possible, and return a plan per output."""
-    check_outline(outline)
-    source_set, entries = outline.source_set, outline.outputs
-    if outline.scene is not None and not outline.scene.sources:
-        return [plan_simulation(entry, outline.notices) for entry in entries]
+    check_request(request)
+    source_set, entries = request.source_set, request.outputs
+    if request.scene is not None and not request.scene.sources:
+        return [plan_simulation(entry, request.notices) for entry in entries]
     options = entries[0].options
     if len(entries) > 1:
         is_any_forced = any(entry.options.force_fit for entry in entries)
@@ -86,9 +88,9 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     has_systems = any(entry.has_systems for entry in entries)
     has_more_work = has_systems or len(entries) > 1
     source_progress = part_progress(progress, 0, 2) if has_more_work else progress
-    with protect_inputs(outline.files):
+    with protect_inputs(request.files):
         streams = source_set.open(options, source_progress)
-    notices = [*outline.notices, *source_set.unused_option_warnings]
+    notices = [*request.notices, *source_set.unused_option_warnings]
     if len(entries) == 1:
         names = source_set.names
         return [_plan_output(source_set.files, streams, entries[0], notices, names)]
@@ -101,15 +103,15 @@ def plan_outputs(outline: Outline, *, progress: Progress = None) -> list[OutputP
     ]
 
 
-def planning_faults(outline: Outline, take: Take | None) -> list[Fault]:
+def planning_faults(request: BakeRequest, take: Take | None) -> list[Fault]:
     """Return the faults that prevent a scene's outputs from being planned.
 
     ``take`` is the result of its sources after all passes; None for a scene without
     sources.
     """
-    faults = duplicate_outputs(outline)
-    inputs = {path.resolve() for path in outline.source_set.inputs}
-    for entry in outline.outputs:
+    faults = duplicate_outputs(request)
+    inputs = {path.resolve() for path in request.source_set.inputs}
+    for entry in request.outputs:
         layer = entry.options.rig_layer
         entry_inputs = inputs | ({layer.resolve()} if layer else set())
         if not entry_inputs.isdisjoint(path.resolve() for path in entry.files):
@@ -119,7 +121,7 @@ def planning_faults(outline: Outline, take: Take | None) -> list[Fault]:
             if take is None:
                 plan_simulation(entry, [])
             else:
-                _plan_output(outline.source_set.files, [TakeStream.of(take)], entry, [])
+                _plan_output(request.source_set.files, [TakeStream.of(take)], entry, [])
         except AnimtoolError as error:
             faults += map(entry.locate, error.faults)
     return faults

@@ -121,12 +121,12 @@ class TakeReport:
 
     @property
     def in_library(self) -> TakeReport | None:
-        """The report itself for a take of a library, else None."""
+        """This report if the take is in a library, else None."""
         return self if self.written.name else None
 
     @property
     def if_thinned(self) -> TakeReport | None:
-        """The report itself if samples were reduced, else None."""
+        """This report if samples were reduced, else None."""
         return None if self.thinned is None else self
 
 
@@ -208,7 +208,7 @@ class BakeReport:
 
     @property
     def named(self) -> list[Path]:
-        """Written files, as in the reports of solves; empty for stdout."""
+        """Written files that the report of a solve lists; empty for stdout."""
         return self.files
 
     @property

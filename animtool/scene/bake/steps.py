@@ -20,9 +20,9 @@ from animtool.motion.take import TakeStream
 from animtool.motion.transforms import Track
 from animtool.rig.skeleton import Rig
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, OutputEntry, check_outline
 from animtool.scene.bake.plan import plan_simulation
 from animtool.scene.bake.reading import layer_form
+from animtool.scene.bake.request import BakeRequest, OutputEntry, check_request
 from animtool.scene.file.entries import ScenePass, SceneProp, SceneSystem
 from animtool.scene.scene import Scene
 from animtool.scene.sources.open import fitting_options, open_source
@@ -59,10 +59,10 @@ class PlanSteps:
     json_keys: ClassVar[str] = "'plan' steps"
 
 
-def bake_steps(outline: Outline) -> list[PlanStep]:
+def bake_steps(request: BakeRequest) -> list[PlanStep]:
     """Return the steps of a bake in order; sources are read, passes do not run."""
-    check_outline(outline.with_overwrite)
-    source_set, scene, outputs = outline.source_set, outline.scene, outline.outputs
+    check_request(request.with_overwrite)
+    source_set, scene, outputs = request.source_set, request.scene, request.outputs
     if scene is not None and not scene.sources:
         return _simulated_steps(scene, outputs)
     steps: list[PlanStep] = []

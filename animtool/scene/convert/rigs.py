@@ -83,7 +83,7 @@ def convert_rig(
 
 @dataclass(frozen=True, slots=True)
 class RigJob:
-    """Arguments of `convert_rig`, as writers of rigs take them."""
+    """Arguments of `convert_rig`, which it passes to the writer of the rig format."""
 
     source: Path
     output: Path

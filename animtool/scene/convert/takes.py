@@ -12,12 +12,12 @@ from animtool.core.errors import OptionError
 from animtool.core.files.output import protect_inputs
 from animtool.core.writers import take_writer
 from animtool.motion.passes import Pass, PassContext, apply_pass
-from animtool.scene.bake.bake import OutputReport, bake_outline, bake_take
+from animtool.scene.bake.bake import OutputReport, bake_take, run_request
 from animtool.scene.bake.files import ConvertReport
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import check_outline, create_outline
 from animtool.scene.bake.progress import Progress
 from animtool.scene.bake.reading import key_option_fault
+from animtool.scene.bake.request import check_request, create_request
 from animtool.scene.sources.open import (
     OpenTake,
     SourceOptions,
@@ -76,8 +76,8 @@ def convert(
     bake_options = _conversion_options(options, overwrite=overwrite, strict=strict)
     bake_options = replace(bake_options, reduce=reduce, reduce_at=reduce_at)
     source = source if isinstance(source, OpenTake) else Path(source)
-    outline = create_outline(source, output, bake_options, base=base, rig_file=rig_file)
-    (report,) = bake_outline(outline, progress=progress)
+    request = create_request(source, output, bake_options, base=base, rig_file=rig_file)
+    (report,) = run_request(request, progress=progress)
     return _conversion_report(report, output)
 
 
@@ -98,10 +98,10 @@ def convert_with_passes(
     bake_options = _conversion_options(
         source_options, overwrite=overwrite, strict=strict
     )
-    outline = create_outline(source, output, bake_options)
-    check_outline(outline)
+    request = create_request(source, output, bake_options)
+    check_request(request)
     contexts: list[PassContext] = []
-    with protect_inputs(outline.files):
+    with protect_inputs(request.files):
         stream = open_checked(source, source_options, progress=progress)
         for pass_, options in passes:
             context = PassContext(
@@ -110,7 +110,7 @@ def convert_with_passes(
             contexts.append(context)
             stream = apply_pass(stream, pass_, options, context)
             stream.notices = [*stream.notices, *context.notices]
-        report = bake_take(stream, outline)
+        report = bake_take(stream, request)
     scores = [
         score.with_pass(pass_.name, "")
         for (pass_, _), context in zip(passes, contexts, strict=True)

@@ -6,7 +6,7 @@ import re
 from fractions import Fraction
 
 from animtool.core.errors import excerpt
-from animtool.core.rates import MAX_FRAME, FractionLike, exact_number
+from animtool.core.rates import MAX_FRAME_NUMBER, FractionLike, exact_number
 from animtool.core.shot import FrameList, FrameRange
 
 # First, last and step of a range in the notation of other tools.
@@ -108,8 +108,8 @@ def parse_frame(time_code: FractionLike) -> Fraction:
     except (ValueError, ArithmeticError) as error:
         message = f"{excerpt(str(time_code))} is not a frame such as 1001"
         raise ValueError(message) from error
-    if abs(frame) > MAX_FRAME:
-        raise ValueError(f"frame {time_code!r} is beyond {MAX_FRAME}")
+    if abs(frame) > MAX_FRAME_NUMBER:
+        raise ValueError(f"frame {time_code!r} is beyond {MAX_FRAME_NUMBER}")
     return frame
 
 

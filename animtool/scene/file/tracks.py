@@ -18,7 +18,7 @@ TRACK_KINDS = ("joints", "shapes", "controls")
 
 @dataclass(frozen=True, slots=True)
 class TrackNames:
-    """Names or patterns of the tracks that a source of several sets."""
+    """Names or patterns of the tracks that one of several sources sets."""
 
     joints: tuple[str, ...] = ()
     shapes: tuple[str, ...] = ()
@@ -61,8 +61,8 @@ def select_tracks(
 ) -> tuple[Tracks, list[tuple[str, str, list[str]]]]:
     """Return the tracks of two rigs that match patterns, and the unmatched patterns.
 
-    Each of these has its kind of track before it, and the valid names after it. Tracks
-    driven by a selected control are selected too, since a motion stores their values.
+    An unmatched pattern comes with its kind of track and the valid names. Tracks that a
+    selected control drives are selected too, since a motion stores their values.
     """
     rig, unmatched_patterns = name_map.rig, []
     indices_by_kind: dict[str, set[int]] = {kind: set() for kind in TRACK_KINDS}

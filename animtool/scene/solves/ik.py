@@ -262,7 +262,7 @@ def run_ik(job: IkJob, *, progress: Progress = None) -> IkReport:
     solved_output = job.solved_output
     solved_output.check((job.rig, job.targets, job.start, job.bake.rig_layer))
     report = _solve(job, progress)
-    if solved_output.outline is None:
+    if solved_output.request is None:
         return report
     start_time = time.perf_counter()
     take = replace(report.solution.take, notices=())

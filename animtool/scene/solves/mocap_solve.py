@@ -109,7 +109,7 @@ def run_solve(job: MocapSolveJob, *, progress: Progress = None) -> MocapSolveRes
 
 
 def _check(job: MocapSolveJob) -> None:
-    """Raise an error for a subject's file with a wrong suffix, or no calibration."""
+    """Refuse to write a subject's file with a wrong suffix or without a calibration."""
     for path, kind in ((job.write_rig, "rig"), (job.write_template, "markers")):
         if path is None:
             continue

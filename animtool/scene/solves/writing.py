@@ -14,8 +14,8 @@ from animtool.core.record import dataclass
 from animtool.core.units import unit_name
 from animtool.motion.take import TakeStream
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import Outline, check_outline, create_outline
 from animtool.scene.bake.progress import Progress
+from animtool.scene.bake.request import BakeRequest, check_request, create_request
 
 if TYPE_CHECKING:
     from animtool.scene.bake.bake import OutputReport
@@ -41,7 +41,7 @@ class SolveReport(Protocol):
 class SolvedOutput:
     """Files that a solve writes: the take, and others such as a map."""
 
-    outline: Outline | None  # the take as output; None if it is not written
+    request: BakeRequest | None  # the take as output; None if it is not written
     bake: BakeOptions
     extra_files: tuple[Path, ...] = ()  # further files to write
 
@@ -53,26 +53,26 @@ class SolvedOutput:
         rig: Path | None,
         extra_files: Iterable[Path | None] = (),
     ) -> SolvedOutput:
-        """Return the outline of a solve's output; a clip refers to a rig file."""
-        outline = None
+        """Return the request of a solve's output; a clip refers to a rig file."""
+        request = None
         if output is not None:
             clip_rig = rig if rig is not None and has_kind_suffix(rig, "rig") else None
-            outline = create_outline(source, output, bake, rig_file=clip_rig)
-        return SolvedOutput(outline, bake, tuple(filter(None, extra_files)))
+            request = create_request(source, output, bake, rig_file=clip_rig)
+        return SolvedOutput(request, bake, tuple(filter(None, extra_files)))
 
     @property
     def files(self) -> list[Path]:
         """Files to write; for a clip, the clip itself is last."""
-        outline_files = [] if self.outline is None else self.outline.files
-        return [*self.extra_files, *outline_files]
+        requested_files = [] if self.request is None else self.request.files
+        return [*self.extra_files, *requested_files]
 
     def check(self, inputs: Iterable[Path | None]) -> None:
         """Check the output, and raise its faults before the solve."""
         if self.files:
             input_files = list(filter(None, inputs))
             check_outputs(self.files, input_files, overwrite=self.bake.overwrite)
-        if self.outline is not None:
-            check_outline(self.outline)
+        if self.request is not None:
+            check_request(self.request)
 
     def write(
         self,
@@ -92,17 +92,17 @@ class SolvedOutput:
         if source_kind is not None:
             units = unit_name(stream.rig.meters_per_unit)
             stream.details = {"format": source_kind, "units": units}
-        if self.outline is None:
+        if self.request is None:
             deque(stream.blocks, maxlen=0)
             stream_notices = stream.notices
         else:
             from animtool.scene.bake.bake import bake_take
 
-            report.written = bake_take(stream, self.outline, progress=progress)
+            report.written = bake_take(stream, self.request, progress=progress)
             stream_notices = report.written.notices
         reported_notices = set(report.notices)
         report.notices += [
             notice for notice in stream_notices if notice not in reported_notices
         ]
-        if self.outline is None:
+        if self.request is None:
             refuse_warnings(report.notices, strict=self.bake.strict)

@@ -18,7 +18,7 @@ from animtool.core.rates import rate_label
 from animtool.core.record import dataclass
 from animtool.core.timecode import has_drop_frame, seconds_between
 from animtool.edit.combine import sample_other_take
-from animtool.edit.travel import nearby_positions
+from animtool.edit.travel import frame_positions
 from animtool.maths.curves import Curves
 from animtool.motion.motion import Channel, Motion
 from animtool.motion.reorient import reorient
@@ -95,7 +95,7 @@ class _Layer:
         if self.source.stream.curve is not None:
             codes = float(clock.start) + layer_seconds * float(clock.fps)
             return self._sample_curve(codes)
-        samples = nearby_positions(layer_seconds * float(clock.rate), clock.count)
+        samples = frame_positions(layer_seconds * float(clock.rate), clock.count)
         return self.take.motion.map(samples.interpolate)
 
     def _sample_curve(self, codes: FloatArray) -> Motion:
@@ -268,7 +268,7 @@ class _JoinedTake:
                 name = self.base.rig.controls[i].name
                 merged_curves.pop(name, None)
                 if name in curves:
-                    merged_curves[name] = curves[name].with_linear_time(
+                    merged_curves[name] = curves[name].retimed(
                         float(clock.start), ratio, begin
                     )
         return merged_curves

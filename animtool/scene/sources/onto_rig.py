@@ -218,7 +218,7 @@ def map_to_rig_file(
 def _indices_by_name(
     elements: Sequence[Shape | Control], other_elements: Sequence[Shape | Control]
 ) -> IntArray:
-    """Return the index of each element among others by its name; -1 if it is absent."""
+    """Return the index of the other element with each element's name; -1 for none."""
     index_by_name = {element.name: i for i, element in enumerate(other_elements)}
     return np.array(
         [index_by_name.get(element.name, -1) for element in elements], np.int64

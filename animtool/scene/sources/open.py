@@ -21,7 +21,7 @@ from animtool.core.options import (
     options_of,
 )
 from animtool.core.rates import OptionalFraction, rate_option, rate_warning
-from animtool.core.readers import DOCUMENT, READERS, USD, find_reader
+from animtool.core.readers import READERS, RIG_AND_CLIP_FILES, USD, find_reader
 from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.units import LengthUnit, UpAxis, unit_name
@@ -54,7 +54,7 @@ class SourceOptions:
         shot: Shot that shows the source; time codes become its frames.
 
     Raises:
-        OptionError: fps is no rate (SCN022).
+        OptionError: fps is not a rate (SCN022).
     """
 
     unit: LengthUnit | None = option(
@@ -369,7 +369,7 @@ def open_source(
         unit = unit_name(stream.rig.meters_per_unit)
         stream.details.setdefault("units", unit)
     # Keys of a clip are evaluated together with the tracks they drive.
-    return stream if reader is DOCUMENT else _drive_tracks(stream)
+    return stream if reader is RIG_AND_CLIP_FILES else _drive_tracks(stream)
 
 
 def open_checked(
@@ -401,7 +401,7 @@ def open_checked(
 
 
 def open_characters(path: Path) -> dict[str, Callable[[], TakeStream]]:
-    """Return, by Skeleton path, a function that opens the take of that Skeleton."""
+    """Return a function per Skeleton, by its path, that opens the Skeleton's take."""
     from animtool.usd.takes.read import read_characters
 
     record_input(path)

@@ -1,4 +1,4 @@
-"""Retiming of takes: pre-roll frames, frames of a shot, and shots that have none."""
+"""Retiming of takes: pre-roll, conversion to shot frames, shots outside their take."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from animtool.core.record import dataclass
 from animtool.core.shot import Shot
 from animtool.core.timecode import parse_timecode
 from animtool.edit.between import TakeSampler
-from animtool.edit.travel import nearby_positions
+from animtool.edit.travel import frame_positions
 from animtool.motion.motion import Motion
 from animtool.motion.take import TakeStream
 
@@ -122,7 +122,7 @@ def _retime_stream(
         step=step,
         curve=None if curve is None else sample_shifted,
         control_curves={
-            name: curves.with_linear_time(first_code, float(1 / ratio), origin)
+            name: curves.retimed(first_code, float(1 / ratio), origin)
             for name, curves in stream.control_curves.items()
             if ratio > 0
         },
@@ -150,7 +150,7 @@ def _hold_pose(stream: TakeStream, shot: Shot) -> TakeStream:
     if not 0 <= sample_index < take.clock.count:
         take_seconds = take.clock.count / take.clock.rate
         raise no_frames_error(shot, shot.start, shot.end, take_seconds)
-    position = nearby_positions([float(sample_index)], take.clock.count)
+    position = frame_positions([float(sample_index)], take.clock.count)
     pose = TakeSampler.from_take(take).sample(position)
     return replace(
         stream,
@@ -224,7 +224,7 @@ def _duration_text(seconds: Fraction) -> str:
 
 
 def _likely_first_timecode(shot: Shot, shot_seconds: Fraction, length: Fraction) -> str:
-    """Return the full hour that is likely the take's first time code, or a pattern."""
+    """Return the full hour at which the take likely starts, else ``HH:MM:SS:FF``."""
     media_timecode = shot.timecode
     assert media_timecode is not None
     label = media_timecode.label(shot_seconds)

@@ -90,11 +90,11 @@ class _RotatedSheetMotion:
     rotation: FloatArray  # ``(4,)``
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        """Return the points ``(N, 3)`` [m] of the surface at a time [s]."""
         return np.asarray(so3.rotate(self.rotation, self.motion.points(t)))
 
     def triangles(self, t: float) -> IntArray:
-        """Return the corners of its triangles ``(T, 3)``."""
+        """Return the point indices of the triangles ``(T, 3)``."""
         return self.motion.triangles(t)
 
     def forget(self, t: float) -> None:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, TypeAlias
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.clock import MAX_FRAMES, FrameSpan, frame_label
+from animtool.core.clock import MAX_FRAME_COUNT, FrameSpan, frame_label
 from animtool.core.errors import (
     Fault,
     FormatError,
@@ -286,8 +286,8 @@ def _time_codes(
 ) -> tuple[Fraction, ...]:
     frame_numbers = range(frames.first, frames.last + 1, frames.step)
     count = len(frame_numbers) * max(1, len(offsets))
-    if count > MAX_FRAMES:
-        message = f"the range has {count} samples; the limit is {MAX_FRAMES}"
+    if count > MAX_FRAME_COUNT:
+        message = f"the range has {count} samples; the limit is {MAX_FRAME_COUNT}"
         raise FormatError(Fault("SCN091", message, where="range"))
     return tuple(
         frame + offset for frame in frame_numbers for offset in offsets or (Fraction(),)
@@ -356,7 +356,7 @@ def plan_with_take(scene: Scene, plan: BakePlan) -> SystemPrims:
 
 
 def _check_prim_paths(scene: Scene, job: SimulatedJob, plan: BakePlan) -> None:
-    """Refuse systems whose prim paths a character, prop or rig has (SCN068)."""
+    """Refuse systems whose prim path belongs to a character, prop or rig (SCN068)."""
     paths, target = plan.paths, plan.target
     tracks = plan.takes[0].stream.tracks
     owner_by_path = {paths.root: "the character"}

@@ -125,7 +125,7 @@ class CharacterSkin:
         return deform_blocks(self._mesh, self._weights, self._world, normals=False)
 
     def frame(self, i: int) -> FloatArray:
-        """Return its points at a frame ``(V, 3)`` [m]."""
+        """Return the points ``(V, 3)`` [m] of the mesh at a frame."""
         frame = slice(i, i + 1)
         world = WorldTransforms(self._world.positions[frame], self._world.linear[frame])
         weights = None if self._weights is None else self._weights[frame]
@@ -148,7 +148,7 @@ class SkinMotion:
         self._frame = lru_cache(CACHED_FRAME_COUNT)(self._skin.frame)
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(V, 3)`` at a time [s] [m]."""
+        """Return the points ``(V, 3)`` [m] of the mesh at a time [s]."""
         times = self._times
         i = int(np.clip(np.searchsorted(times, t, "right") - 1, 0, len(times) - 1))
         frame_points = self._frame(i)
@@ -164,7 +164,7 @@ class SkinMotion:
         return surface.counts, surface.indices
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return the corners of its triangles ``(T, 3)``."""
+        """Return the point indices of the triangles ``(T, 3)``."""
         return self._faces
 
     def forget(self, t: float) -> None:

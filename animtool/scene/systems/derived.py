@@ -230,7 +230,7 @@ class SpecEntryReader(EntryReader):
         return prototype
 
     def gaits(self, location: Location, model: GaitsModel) -> GaitsSource | None:
-        """Return gait clips of a rig; each rig is checked once, immediately."""
+        """Return the gait clips of a rig, read only once; None if they have a fault."""
         from animtool.scene.systems.gaits import GaitsSource
 
         rig = self.find_followed((*location, "rig"), model.rig)
@@ -276,7 +276,7 @@ class SpecEntryReader(EntryReader):
         read = partial(read_static_mesh, path, model.prim, UpAxis.Y)
         return self.try_read((*location, "prim"), read, error_type=OptionError)
 
-    def carrying_character(
+    def character_carrier(
         self, entry_path: Location, model: CarryingJointModel | CarryingVertexModel
     ) -> JointCarrier | VertexCarrier | None:
         """Return a joint or vertex as a carrier.
@@ -307,10 +307,10 @@ class SpecEntryReader(EntryReader):
             self.record_fault((*entry_path, str(fault.where)), fault)
         return carrier
 
-    def carrying_prim(
+    def prim_carrier(
         self, location: Location, model: CarryingPrimModel
     ) -> PrimCarrier | None:
-        """Return a prim of a USD file as a carrier; open it now to check it."""
+        """Open a USD prim and return it as a carrier; None if its file is missing."""
         from animtool.usd.props.reader import open_prop
 
         path = self.input((*location, "file"), model.file)
@@ -322,7 +322,7 @@ class SpecEntryReader(EntryReader):
         self.try_read((*location, "prim"), read, "SIM053")
         return PrimCarrier(path, model.prim, model.frame)
 
-    def carrying_body(
+    def body_carrier(
         self,
         location: Location,  # noqa: ARG002
         model: CarryingBodyModel,
@@ -351,10 +351,10 @@ READER_METHODS: Mapping[Any, str] = {
     GaitsModel: "gaits",
     PhysicsStageModel: "physics",
     PrimMeshModel: "rest_mesh",
-    CarryingJointModel: "carrying_character",
-    CarryingVertexModel: "carrying_character",
-    CarryingPrimModel: "carrying_prim",
-    CarryingBodyModel: "carrying_body",
+    CarryingJointModel: "character_carrier",
+    CarryingVertexModel: "character_carrier",
+    CarryingPrimModel: "prim_carrier",
+    CarryingBodyModel: "body_carrier",
     SystemColliderModel: "collider",
     CharacterModel: "character_collider",
     SystemSurfaceModel: "surface",

@@ -29,7 +29,7 @@ from animtool.documents.references import (
 )
 from animtool.maths import so3
 from animtool.scene.systems.carriers import PrimCarrier, keyed_poses
-from animtool.scene.systems.surroundings import moving_sheet
+from animtool.scene.systems.surroundings import animated_surface
 from animtool.sim.colliders import SHAPES, Collider, HeightField, Mesh, Poses
 from animtool.systems.framework.conversion import DEFAULT_UNITS, SceneUnits
 from animtool.systems.framework.fields import (
@@ -203,7 +203,7 @@ class EntryReader:
         if path is None:
             return None
         mesh = model.model_copy(update={"file": str(path)})
-        if self.try_read((*location, "prim"), lambda: moving_sheet(mesh), "SIM051"):
+        if self.try_read((*location, "prim"), lambda: animated_surface(mesh), "SIM051"):
             self.check_ranges(location, model)
         return mesh
 

@@ -42,10 +42,10 @@ def placement_warnings(
 ) -> list[Fault]:
     """Return warnings about systems that do not fit their characters.
 
-    Pins whose nearest particle is farther away at 0 s than the size of their character
-    (SIM168); else systems that are far away or large, but would fit in the unit of the
-    rig (SIM169). ``main_rig`` is the rig of the scene's own character; every system is
-    compared with it.
+    SIM168 reports a system with pins that are farther from their nearest particle at
+    0 s than the size of their character. SIM169 reports any other system that is far
+    away or large, but would fit in the unit of the rig. ``main_rig`` is the rig of the
+    scene's own character; every system is compared with it.
     """
     first_frames = CharacterMotions()
     faults = []

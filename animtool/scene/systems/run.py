@@ -72,12 +72,12 @@ def last_states(
 
 # Maximum number of steps of a system, from its pre-roll to the last frame; more would
 # take hours.
-MAX_STEPS = 10_000_000
+MAX_STEP_COUNT = 10_000_000
 # Maximum step of a solver that chooses its steps [s].
-MAX_STEP = 1 / 240
+MAX_ADAPTIVE_STEP = 1 / 240
 
 # Scenes have numbers within this power of ten, in SI units.
-MAX_EXPONENT = 9.0
+MAX_USUAL_EXPONENT = 9.0
 
 
 class SystemRun:
@@ -161,7 +161,7 @@ class SystemRun:
         return notices
 
     def late_start_notices(self, last: float) -> list[Fault]:
-        """Return warnings about systems that hold nothing until the last frame [s]."""
+        """Return warnings about systems in which nothing exists until a time [s]."""
         notices = []
         for system, entry_run in zip(self.systems, self._entry_runs, strict=True):
             simulation = entry_run.run.simulation
@@ -310,7 +310,9 @@ def _unusual_number_hint(system: SceneSystem) -> list[str]:
         (abs(math.log10(size)), name, size) for name, size in sizes if size > 0
     ]
     exponent, name, size = max(exponents, default=(0.0, "", 0.0))
-    return [f"check the unit of {name}: {size:g}"] if exponent > MAX_EXPONENT else []
+    return (
+        [f"check the unit of {name}: {size:g}"] if exponent > MAX_USUAL_EXPONENT else []
+    )
 
 
 def _number_sizes(node: Any, key_path: str) -> Iterator[tuple[str, float]]:
@@ -337,11 +339,11 @@ def _check_steps(systems: Sequence[SceneSystem], last: float) -> None:
     """Refuse systems whose steps would take hours (SCN091)."""
     faults = []
     for system in systems:
-        step = system.setup.spec.step or MAX_STEP
+        step = system.setup.spec.step or MAX_ADAPTIVE_STEP
         seconds = max(last, 0.0) + system.setup.spec.preroll
-        if seconds / step > MAX_STEPS:
+        if seconds / step > MAX_STEP_COUNT:
             message = f"{plain_number(seconds)} s in steps of {plain_number(step)} s "
-            message += f"are {seconds / step:.3g} steps; the limit is {MAX_STEPS}"
+            message += f"are {seconds / step:.3g} steps; the limit is {MAX_STEP_COUNT}"
             hint = "use longer steps, a shorter pre-roll or fewer frames"
             faults.append(system.location.fault("SCN091", message, hint))
     if faults:

@@ -79,7 +79,7 @@ class BuildContext:
 
 @contextmanager
 def located_systems(members: Sequence[SceneSystem]) -> Iterator[None]:
-    """Locate faults without a file that a block raises at joined systems.
+    """Locate faults of the block that name no file at one of the joined systems.
 
     The location is that of the first system with the key that a fault names, else of
     the first.
@@ -128,7 +128,7 @@ def _resume(run: SimulationRun, member: SceneSystem) -> None:
 
 @contextmanager
 def _located_at_resume(member: SceneSystem, path: Path) -> Iterator[None]:
-    """Locate the faults of a file of states at the key of the system that names it."""
+    """Locate the faults of a state file at the system's key that names the file."""
     try:
         yield
     except (FormatError, OptionError) as error:
@@ -205,7 +205,7 @@ def _restore_state(run: SimulationRun, member: SceneSystem, path: Path) -> None:
 
 
 def _at_resume(fault: Fault, name: str) -> Fault:
-    """Return a fault of a file of states as one of the key that names it."""
+    """Return a fault of a state file, moved to the key that names the file."""
     separator = " " if fault.message.startswith("is ") else ": "
     message = f"{excerpt(name)}{separator}{fault.message}"
     return replace(fault, path=None, message=message, where="resume")
@@ -279,7 +279,7 @@ def open_systems(
 ) -> list[EntryRun]:
     """Return the systems in their initial state, in order; the first frame is at 0 s.
 
-    ``last`` is the last time [s]. Warnings about their initial state, and about their
+    ``last_time`` is in seconds. Warnings about their initial state, and about their
     size and distance from a rig, are added to ``warnings``.
     """
     context = BuildContext(last_time, character_cache(character), progress=progress)

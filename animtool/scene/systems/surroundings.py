@@ -38,8 +38,8 @@ if TYPE_CHECKING:
 CACHED_TIME_COUNT = 4
 
 
-def moving_sheet(mesh: MovingMeshModel) -> Sheet:
-    """Return a mesh of a USD file as a moving sheet; its path must be absolute."""
+def animated_surface(mesh: MovingMeshModel) -> Sheet:
+    """Return a USD mesh as an animated surface; the file path must be absolute."""
     from animtool.usd.caches.reader import open_mesh
 
     motion = _MeshMotion(open_mesh(Path(mesh.file), mesh.prim, UpAxis.Y), mesh.frame)
@@ -66,7 +66,7 @@ class _MeshMotion:
         self._cached_points = lru_cache(CACHED_TIME_COUNT)(self._points)
 
     def points(self, t: float) -> FloatArray:
-        """Return its points ``(N, 3)`` at a time [s] [m]."""
+        """Return the points ``(N, 3)`` [m] of the surface at a time [s]."""
         time_code = self._start + t * self._source.fps
         return self._cached_points(min(max(time_code, self._first), self._last))
 
@@ -80,7 +80,7 @@ class _MeshMotion:
         return points
 
     def triangles(self, t: float) -> IntArray:  # noqa: ARG002
-        """Return the corners of its triangles ``(T, 3)``."""
+        """Return the point indices of the triangles ``(T, 3)``."""
         return self._faces
 
     def forget(self, t: float) -> None:
@@ -215,5 +215,5 @@ class Surroundings:
             }
             sheet_values |= {"radius": surface.radius, "closed": surface.closed}
             sheets.append(record_from_model(Sheet, surface_entry, **sheet_values))
-        sheets += [*map(moving_sheet, self.meshes), *skins]
+        sheets += [*map(animated_surface, self.meshes), *skins]
         return Colliders([*self.colliders, *capsules], sheets, bodies)

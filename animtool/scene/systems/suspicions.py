@@ -23,9 +23,9 @@ from animtool.scene.systems.suspicious_forces import MAX_GRAVITY
 from animtool.scene.systems.suspicious_times import stated_keys
 
 # Greater thickness of cloth is implausible [m].
-MAX_THICKNESS = 0.5
+MAX_CLOTH_THICKNESS = 0.5
 # Only rubber stretches to twice its length [1].
-MAX_STRETCH = 1.0
+MAX_CLOTH_STRETCH = 1.0
 # Critical damping is 1; a percentage of it is rarely below 4 [1].
 MAX_DAMPING_RATIO = 3.0
 # A longer rope is implausible [m], unless it weighs as much as a 5 mm cord [kg/m].
@@ -82,7 +82,7 @@ def warn_of_suspect_units(
     _warn_of_length(document, location, "thickness", values)
     _warn_of_length(document, location, "radius", values)
     stretch = values.get("stretch")
-    if isinstance(stretch, int | float) and stretch >= MAX_STRETCH:
+    if isinstance(stretch, int | float) and stretch >= MAX_CLOTH_STRETCH:
         message = f"stretch {stretch:g} allows springs {1 + stretch:g} times as long"
         hint = percent_hint(stretch)
         document.warn("SIM200", (*location, "stretch"), message, hint)
@@ -94,7 +94,7 @@ def _warn_of_length(
     """Warn of a thickness or radius that seems to be in millimetres (SIM200)."""
     length = values.get(key)
     # Lengths with a unit are texts.
-    if not isinstance(length, int | float) or length < MAX_THICKNESS:
+    if not isinstance(length, int | float) or length < MAX_CLOTH_THICKNESS:
         return
     message = f"{key} {length:g} is a thickness of {length_text(2 * length)}"
     if key == "thickness":
@@ -107,7 +107,7 @@ def _warn_of_length(
 def _warn_of_density_and_viscosity(
     document: Document, location: Location, values: Mapping[str, Any]
 ) -> None:
-    """Warn of a density in g/cm³, and of a viscosity that is in mm²/s or a density."""
+    """Warn of a density in g/cm³, and of a viscosity in mm²/s or equal to a density."""
     density, viscosity = values.get("density"), values.get("viscosity")
     if isinstance(density, int | float) and 0 < density < MIN_DENSITY:
         message = f"density {density:g} is {density:g} kg/m³, lighter than foam"

@@ -20,7 +20,7 @@ MIN_GRAVITY = 1.0
 # Cosine to an axis of a vector along it.
 ALIGNED_COSINE = 0.99
 # Faster than any hurricane, and than anything thrown or flying [m/s].
-MAX_WIND_SPEED, MAX_SPEED = 100.0, 200.0
+MAX_WIND_SPEED, MAX_FLYING_SPEED = 100.0, 200.0
 # A bullet is smaller, and faster [m³], [m/s].
 MAX_BULLET_VOLUME, MAX_BULLET_SPEED = 1e-4, 3000.0
 # A bird flies as fast as a swift [m/s], and sees what it passes in this time [s].
@@ -31,16 +31,16 @@ MAX_RUN_SPEED = 15.0
 # Kilometres per hour in a metre per second.
 KMH_PER_MPS = 3.6
 # A hundred times the pull of Earth [m/s²].
-MAX_ACCELERATION = 1000.0
+MAX_FORCE_ACCELERATION = 1000.0
 # The default mass of a particle [kg].
 PARTICLE_MASS = 1e-3
 # Gravity that moves bodies by less of their distances than a pixel of a picture does
 # nothing [1], in this time or in the range if it is longer [s].
-MIN_RELATIVE_MOVE, MIN_SECONDS = 1e-3, 10.0
+MIN_RELATIVE_MOVE, MIN_GRAVITY_SECONDS = 1e-3, 10.0
 # The constant of nature [m³/(kg s²)], and the tolerance for it [1].
 NEWTON_CONSTANT, CONSTANT_TOLERANCE = 6.674e-11, 0.01
 # Bodies whose accelerations are computed.
-MAX_BODIES = 200
+MAX_COMPARED_BODIES = 200
 
 _EntryValues = Mapping[str, Any]
 
@@ -67,7 +67,7 @@ def warn_of_forces(
         if speed > MAX_WIND_SPEED:
             message = f"a wind of {speed:g} m/s is faster than any hurricane"
             hint = _unit_hint(speed, unit)
-            if unit == 1.0 and speed <= MAX_SPEED * KMH_PER_MPS:
+            if unit == 1.0 and speed <= MAX_FLYING_SPEED * KMH_PER_MPS:
                 hint = f"for {speed:g} km/h write {speed / KMH_PER_MPS:.3g}; {hint}"
             document.warn("SIM200", location, message, hint)
             break
@@ -89,7 +89,7 @@ def _warn_of_cruise(
         radius = (species.get("vision") or {}).get("radius") or VISION_RADIUS
         if (
             not isinstance(cruise, int | float)
-            or not MAX_FLIGHT_SPEED < cruise <= MAX_SPEED
+            or not MAX_FLIGHT_SPEED < cruise <= MAX_FLYING_SPEED
         ):
             continue
         if cruise * MIN_SIGHT_TIME > radius:
@@ -196,27 +196,27 @@ def _winds(
 def _speeds(
     entry_path: Location, values: _EntryValues, volume: Callable[[_EntryValues], float]
 ) -> Iterator[tuple[Location, float, float, str]]:
-    """Yield each speed with its location, the plausible maximum, and a comparison."""
+    """Yield each speed with its location, its maximum, and what the maximum is for."""
     flying_bodies = "anything that is thrown or flies"
     for i, emitter in enumerate(values.get("emitters") or ()):
         # Charges move in fields, as fast as those make them.
         if isinstance(emitter.get("speed"), int | float) and not emitter.get("charge"):
             location = (*entry_path, "emitters", i, "speed")
-            yield location, abs(emitter["speed"]), MAX_SPEED, flying_bodies
+            yield location, abs(emitter["speed"]), MAX_FLYING_SPEED, flying_bodies
     for i, fill in enumerate(values.get("fills") or ()):
         velocity = _vector(fill.get("velocity"))
         if velocity is not None:
             location = (*entry_path, "fills", i, "velocity")
-            yield location, math.hypot(*velocity), MAX_SPEED, flying_bodies
+            yield location, math.hypot(*velocity), MAX_FLYING_SPEED, flying_bodies
     for i, body in enumerate(values.get("bodies") or ()):
         velocity = _vector(body.get("velocity"))
         if velocity is not None:
             is_bullet = volume(body.get("shape") or {}) <= MAX_BULLET_VOLUME
-            limit = MAX_BULLET_SPEED if is_bullet else MAX_SPEED
+            limit = MAX_BULLET_SPEED if is_bullet else MAX_FLYING_SPEED
             location = (*entry_path, "bodies", i, "velocity")
             yield location, math.hypot(*velocity), limit, flying_bodies
     for key, limit, comparison in (
-        ("species", MAX_SPEED, flying_bodies),
+        ("species", MAX_FLYING_SPEED, flying_bodies),
         ("populations", MAX_RUN_SPEED, "any runner"),
     ):
         for i, group in enumerate(values.get(key) or ()):
@@ -235,7 +235,7 @@ def _warn_of_large_forces(
         push, strength = _vector(options.get("push")), options.get("strength")
         if name == "uniform" and push is not None and masses:
             magnitude, mass = math.hypot(*push), max(masses)
-            if magnitude / mass > MAX_ACCELERATION:
+            if magnitude / mass > MAX_FORCE_ACCELERATION:
                 message = (
                     f"a push of {magnitude:g} N accelerates particles of {mass:g} kg "
                 )
@@ -257,19 +257,19 @@ def warn_of_weak_gravity(
     document: Document,
     location: Location,
     spec: Any,
-    parts: Mapping[str, Any],
+    entry_data: Mapping[str, Any],
     seconds: float,
 ) -> None:
     """Warn of an N-body system whose mutual gravity has no visible effect (SIM200).
 
-    The lengths of its spec are in metres; ``parts`` are its parsed entries, by key, and
-    ``seconds`` is the time from the first to the last frame [s].
+    The lengths of its spec are in metres. ``entry_data`` has its parsed entries by key,
+    and ``seconds`` is the time from the first to the last frame [s].
     """
     constant = float(spec.gravity_constant)
-    mass, distance, acceleration = _strongest_gravity(spec, parts)
+    mass, distance, acceleration = _strongest_gravity(spec, entry_data)
     if not constant * acceleration * distance > 0:
         return  # nothing attracts, or arrays that are refused are not finite
-    seconds = max(seconds, MIN_SECONDS)
+    seconds = max(seconds, MIN_GRAVITY_SECONDS)
     displacement = constant * acceleration * seconds**2 / 2
     if displacement >= MIN_RELATIVE_MOVE * distance:
         return
@@ -288,7 +288,7 @@ def warn_of_weak_gravity(
 
 
 def _strongest_gravity(
-    spec: Any, parts: Mapping[str, Any]
+    spec: Any, entry_data: Mapping[str, Any]
 ) -> tuple[float, float, float]:
     """Return the total mass, and the distance and acceleration of the largest effect.
 
@@ -296,7 +296,9 @@ def _strongest_gravity(
     """
     extremes = []
     points, masses = [np.zeros((0, 3))], [np.zeros(0)]
-    for body, entry_arrays in zip(spec.bodies, parts.get("bodies") or (), strict=False):
+    for body, entry_arrays in zip(
+        spec.bodies, entry_data.get("bodies") or (), strict=False
+    ):
         body_points = np.asarray((entry_arrays or {}).get("points", ()), np.float64)
         if body_points.shape[1:] != (3,):
             continue  # refused when the system is built
@@ -331,7 +333,7 @@ def _accelerations(
     points: FloatArray, masses: FloatArray, softening: float
 ) -> FloatArray:
     """Return accelerations of some of N points, per unit of the constant."""
-    stride = max(1, len(points) // MAX_BODIES)
+    stride = max(1, len(points) // MAX_COMPARED_BODIES)
     offsets = points[None] - points[::stride, None]
     squares = (offsets**2).sum(axis=2) + max(softening, 1e-9) ** 2
     accelerations = (masses / squares**1.5)[..., None] * offsets

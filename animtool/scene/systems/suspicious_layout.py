@@ -23,9 +23,9 @@ from animtool.sim.colliders import Box, Capsule, Collider, Colliders, Plane, Sph
 from animtool.sim.colliders.shapes import shape_bounds
 
 # A system that falls freely by more leaves the picture [m].
-MIN_FALL = 2.0
+MIN_FALL_DISTANCE = 2.0
 # Entries that start deeper than their size, by more than this, do so by mistake [m].
-MIN_DEPTH = 0.05
+MIN_START_DEPTH = 0.05
 # Thickness over width of a slab, and the sine of its slope when it is upright.
 MAX_SLAB_RATIO, MAX_UPRIGHT_SINE = 0.1, 0.1
 # A box of which half or more is cut was placed by a corner, or beyond a wall; half of a
@@ -34,7 +34,7 @@ MAX_CUT_FRACTION, MAX_ROUND_CUT_FRACTION, MAX_DISPLACED_CUT_FRACTION = 0.45, 0.5
 # Sample points along each side of a shape's bounds, for its cut fraction.
 FILL_SAMPLES_PER_SIDE = 12
 # Height above the ground that no position of a crowd needs [m].
-MAX_HEIGHT = 2.0
+MAX_CROWD_HEIGHT = 2.0
 # A prim is in another unit if it would then be this near to the particles that it
 # holds, as a fraction of its distance from them [1].
 MAX_UNIT_GAP = 0.05
@@ -94,7 +94,11 @@ def warn_of_layout(
             or surroundings.meshes
             or surroundings.carrier_ties
         )
-        if fall_distance <= MIN_FALL or has_contacts or system.name in used_names:
+        if (
+            fall_distance <= MIN_FALL_DISTANCE
+            or has_contacts
+            or system.name in used_names
+        ):
             continue
         if not surroundings.colliders and not system.setup.joined_systems:
             _warn_of_fall(document, location, system, fall_distance)
@@ -250,7 +254,7 @@ def _warn_of_planes(
         plane, deep_starts = Colliders([collider]), []
         for start in starts:
             depth = -float(plane.sample(start.points, 0.0).distances.max())
-            if depth > start.radius + MIN_DEPTH:
+            if depth > start.radius + MIN_START_DEPTH:
                 deep_starts.append((depth, start))
         if not deep_starts:
             continue
@@ -295,8 +299,10 @@ def _warn_of_cut_fills(document: Document, system: SceneSystem) -> None:
         for c, collider in enumerate(surroundings.colliders)
         if collider.container or isinstance(collider.shape, Plane)
     ]
-    parts = system.setup.entries.get("fills") or ()
-    for i, (fill, fill_entries) in enumerate(zip(spec.fills, parts, strict=False)):
+    entries_of_fills = system.setup.entries.get("fills") or ()
+    for i, (fill, fill_entries) in enumerate(
+        zip(spec.fills, entries_of_fills, strict=False)
+    ):
         shape = (fill_entries or {}).get("shape")
         if not walls or fill.prim or not isinstance(shape, Box | Sphere | Capsule):
             continue
@@ -413,7 +419,7 @@ def _warn_of_z_up(document: Document, location: Location, spec: Any) -> None:
         ]
         heights = [y - ground.at[1] for _, (_, y, _) in entries]
         largest = max(heights, key=abs, default=0.0)
-        if abs(largest) > MAX_HEIGHT and not any(z for _, (_, _, z) in entries):
+        if abs(largest) > MAX_CROWD_HEIGHT and not any(z for _, (_, _, z) in entries):
             break
     else:
         return

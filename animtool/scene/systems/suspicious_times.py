@@ -20,7 +20,7 @@ MIN_SUSPICIOUS_SECONDS = 20.0
 # No frame of a scene whose length is unknown lasts so long [s].
 MAX_FRAME_DURATION = 10.0
 # From so many picoseconds a second on, times may be picoseconds [ps/s].
-MIN_PACE = 2.0
+MIN_PICOSECOND_PACE = 2.0
 # Lists of rows that begin with a time, and keys of a time at which something begins.
 TIMED_ROW_KEYS = {"moves", "turns", "gusts", "bursts", "temperatures"}
 START_KEYS = {"start", "release", "opens", "bursts"}
@@ -100,7 +100,7 @@ def _warn_of_picoseconds(
     last, pace = max((row[0] for row in rows), default=0.0), values.get("pace") or 1.0
     seconds = last / pace
     # At a low pace the rows may be the seconds of a longer scene.
-    if pace < MIN_PACE or last < pace or not times.length < last:
+    if pace < MIN_PICOSECOND_PACE or last < pace or not times.length < last:
         return False
     if seconds < MIN_LAST_FRACTION * times.length:
         return False

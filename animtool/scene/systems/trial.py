@@ -56,9 +56,9 @@ TOLERANCES = (100.0, 1.0, 0.01)
 LONG_STEP_RATIO = 4.0
 # Number of unknowns up to which implicit methods are tried: forces have no analytic
 # derivatives, and numerical ones take as many evaluations.
-MAX_UNKNOWNS = 30
+MAX_IMPLICIT_UNKNOWNS = 30
 # Maximum number of evaluations in a step; a method that needs more is unsuitable.
-MAX_EVALUATIONS = 1000
+MAX_STEP_EVALUATIONS = 1000
 
 
 def system_trials(
@@ -211,13 +211,17 @@ def _evaluation_limit(
         return None
     integrator = find_integrator(method)
     unknown_count = 3 * max_point_count
-    if is_other_method and integrator.is_implicit and unknown_count > MAX_UNKNOWNS:
+    if (
+        is_other_method
+        and integrator.is_implicit
+        and unknown_count > MAX_IMPLICIT_UNKNOWNS
+    ):
         message = f"{method} would solve for {unknown_count} unknowns at "
         raise OptionError(Fault("SIM024", f"{message}once", where="method"))
     if integrator.solver:
         # Imports are not part of the simulation's time.
         load_object(integrator.solver)
-    return MAX_EVALUATIONS if is_other_method else None
+    return MAX_STEP_EVALUATIONS if is_other_method else None
 
 
 def _outcome(run: SimulationRun, times: FloatArray) -> TrialOutcome:

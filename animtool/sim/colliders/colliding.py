@@ -30,7 +30,8 @@ from animtool.sim.colliders.sheets import (
 )
 
 _SHAPE_KINDS: dict[type, int] = {Plane: 0, Sphere: 1, Capsule: 2, Box: 3, Mesh: 4}
-_SIZE_COUNT = 7
+# Columns for the sizes of a shape; a capsule has most.
+_SIZES_PER_SHAPE = 7
 _NO_MESH: tuple[Any, ...] = (
     np.zeros((0, 3)),
     np.zeros((0, 3), np.int32),
@@ -146,7 +147,7 @@ class Colliders(Sequence[Collider]):
             for c, root in zip(rigid, root_nodes, strict=True)
         ]
         self._kinds = np.array(kind_rows, np.int64).reshape(-1, 3)
-        self._sizes = np.zeros((len(rigid), _SIZE_COUNT))
+        self._sizes = np.zeros((len(rigid), _SIZES_PER_SHAPE))
         for row, collider in zip(self._sizes, rigid, strict=True):
             sizes = collider.shape.sizes()
             row[: len(sizes)] = sizes

@@ -47,17 +47,17 @@ DESIGN_ANGULAR_VELOCITY = 30.0
 # Measured load of cloth springs, relative to a single row of particles [1].
 CLOTH_LOAD_FACTOR = 10.0
 # Lowest step rates of cloth and of strands [1/s].
-MIN_CLOTH_RATE = 240.0
-MIN_STRAND_RATE = 360.0
-MAX_RATE = 20_000.0
+MIN_CLOTH_STEP_RATE = 240.0
+MIN_STRAND_STEP_RATE = 360.0
+MAX_STEP_RATE = 20_000.0
 # Largest refinement of steps in a cloth frame with too much strain or piercing [1].
-MAX_REFINEMENT = 4
+MAX_STEP_REFINEMENT = 4
 # Default self-contact distance of cloth, relative to its edges [1].
 THICKNESS_RATIO = 1 / 3
 # Largest frequency of the pull that steers a cycle to the last one [Hz].
 STEERING_FREQUENCY = 40.0
 # Limits of the number of cells of a frame; the animation is linear in a cell.
-MIN_CELLS, MAX_CELLS = 5, 8
+MIN_CELLS_PER_FRAME, MAX_CELLS_PER_FRAME = 5, 8
 
 
 class AttachmentActor:
@@ -268,13 +268,13 @@ def step_rate(network: MassSpringNetwork, settings: AttachSettings) -> float:
         return settings.options.rate
     if network.strands:
         rate = DESIGN_ANGULAR_VELOCITY / math.sqrt(2 * settings.stretch)
-        return min(max(rate, MIN_STRAND_RATE), MAX_RATE)
+        return min(max(rate, MIN_STRAND_STEP_RATE), MAX_STEP_RATE)
     edge = network.median_edge_length
     if not edge:
-        return MIN_CLOTH_RATE
+        return MIN_CLOTH_STEP_RATE
     load = max_pin_hops(network) * DESIGN_ACCELERATION * CLOTH_LOAD_FACTOR
     rate = math.sqrt(load / (settings.stretch * edge))
-    return min(max(rate, MIN_CLOTH_RATE), MAX_RATE)
+    return min(max(rate, MIN_CLOTH_STEP_RATE), MAX_STEP_RATE)
 
 
 def check_motion(motion: FloatArray) -> None:
@@ -296,9 +296,9 @@ def cells_and_substeps(step_count: int) -> tuple[int, int]:
     >>> cells_and_substeps(3), cells_and_substeps(10), cells_and_substeps(46)
     ((3, 1), (5, 2), (8, 6))
     """
-    if step_count <= MAX_CELLS:
+    if step_count <= MAX_CELLS_PER_FRAME:
         return step_count, 1
-    cell_counts = range(MAX_CELLS, MIN_CELLS - 1, -1)
+    cell_counts = range(MAX_CELLS_PER_FRAME, MIN_CELLS_PER_FRAME - 1, -1)
     candidates = [(count, math.ceil(step_count / count)) for count in cell_counts]
     return min(candidates, key=math.prod)
 
@@ -362,7 +362,7 @@ def build_plan(
     spring_options = SpringOptions(
         Solver.XPBD,
         stretch=settings.stretch,
-        max_substeps=substeps * (MAX_REFINEMENT if options.rate is None else 1),
+        max_substeps=substeps * (MAX_STEP_REFINEMENT if options.rate is None else 1),
         # The strain of stiff cloth springs is clamped too.
         clamped_strain=settings.stretch if is_cloth else 0.0,
     )

@@ -11,7 +11,7 @@ from typing import Annotated
 import numpy as np
 
 from animtool.core.errors import Fault, OptionError, refuse
-from animtool.core.options import MAX_NUMBER, between, range_faults, ranges_of
+from animtool.core.options import MAX_OPTION_VALUE, between, range_faults, ranges_of
 from animtool.core.record import dataclass
 from animtool.core.units import parse_length
 from animtool.motion.keyed import (
@@ -70,7 +70,7 @@ class SimulateOptions:
     )
     # Gravity, down along the rig's up axis [m/s²]. With 0, attachments of a static
     # character do not move.
-    gravity: Annotated[float, between(-MAX_NUMBER, "SIM004")] = 9.81
+    gravity: Annotated[float, between(-MAX_OPTION_VALUE, "SIM004")] = 9.81
     # Linear drag [1/s]; for cloth, the drag coefficient of its faces [1].
     drag: Annotated[float, between(0.0, "SIM004")] = 0.5
     # Velocity of the air ``[x, y, z]`` [m/s].

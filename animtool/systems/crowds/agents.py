@@ -76,7 +76,7 @@ class Agents(Groups):
 
 @dataclass(frozen=True, slots=True)
 class AgentMotion(Rows):
-    """Positions, velocities and headings of N agents at a time."""
+    """Positions, velocities and headings of N agents at one instant."""
 
     points: FloatArray  # (x, z) positions (N, 2) [m]
     velocities: FloatArray  # (N, 2) [m/s]

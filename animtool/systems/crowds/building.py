@@ -40,7 +40,7 @@ MAX_CLEARING_PASSES = 20
 
 def build(spec: CrowdsModel, context: SimContext) -> Crowd:
     """Build the crowd of a spec; raise SIM145 if the spec is invalid."""
-    begin, population_data = context.begin, context.parts["populations"]
+    begin, population_data = context.begin, context.entry_data["populations"]
     ground_frame, ground = read_ground(context)
     if context.colliders.sheets:
         message = "crowds avoid shapes, rigid bodies and the capsules of characters"
@@ -129,7 +129,7 @@ def _build_bodies(
     context: SimContext,
 ) -> tuple[AgentCast | None, FallSimulator | None]:
     """Return bodies if populations have gaits, and ragdolls if colliders move."""
-    gait_sources = [data.get("gaits") for data in context.parts["populations"]]
+    gait_sources = [data.get("gaits") for data in context.entry_data["populations"]]
     gaits = [source for source in gait_sources if source is not None]
     if not gaits:
         return None, None
@@ -276,7 +276,7 @@ def project_direction(
 
 def read_ground(context: SimContext) -> tuple[GroundFrame, Terrain]:
     """Return the frame of the ground, and its height field."""
-    ground_data = context.parts["ground"]
+    ground_data = context.entry_data["ground"]
     poses = ground_data["poses"]
     shape = ground_data.get("shape")
     mesh = ground_data.get("mesh")

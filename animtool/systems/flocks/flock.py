@@ -237,7 +237,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         colliders = Colliders(
             [*colliders, domain_walls], colliders.sheets, colliders.bodies
         )
-    species_data = context.parts["species"]
+    species_data = context.entry_data["species"]
     members = Members.from_spec(spec, species_data, context.begin)
     spacing = Spacing.for_members(members, spec.domain)
     points, notices = members.clear_positions(colliders, spec.domain)
@@ -250,7 +250,7 @@ def build(spec: FlocksModel, context: SimContext) -> Flock:
         members,
         spec.domain,
         colliders,
-        context.parts.get("forces", ()),
+        context.entry_data.get("forces", ()),
         build_rules(members),
         wrap_motion(np.stack([points, members.velocities]), spec.domain),
         spacing,

@@ -79,7 +79,7 @@ class FluidState:
 
 def build(spec: FluidModel, context: SimContext) -> Fluid:
     """Build the fluid of a spec with its initial particles; raise SIM064 if invalid."""
-    entry_data, colliders, begin = context.parts, context.colliders, context.begin
+    entry_data, colliders, begin = context.entry_data, context.colliders, context.begin
     initial_motion = initial_fluid(spec, entry_data.get("fills", ()), colliders, begin)
     emitters = zip(spec.emitters, entry_data.get("emitters", ()), strict=True)
     nozzles = [

@@ -56,12 +56,18 @@ class Substeps:
         if not len(points):
             return 0.0
         potentials = points @ accelerations.mean(axis=0)
-        head = max(float(potentials.max() - potentials.min()), self._drop_pressure)
-        return self._sound_speed(head) if math.isfinite(head) else 0.0
+        pressure_ratio = max(
+            float(potentials.max() - potentials.min()), self._drop_pressure
+        )
+        return (
+            self._sound_speed(pressure_ratio) if math.isfinite(pressure_ratio) else 0.0
+        )
 
-    def _sound_speed(self, head: float) -> float:
+    def _sound_speed(self, pressure_ratio: float) -> float:
         """Return the sound speed [m/s] for a ratio of pressure to density [m²/s²]."""
-        return math.sqrt(head * COMPRESSION_SAFETY_FACTOR / self._spec.compression)
+        return math.sqrt(
+            pressure_ratio * COMPRESSION_SAFETY_FACTOR / self._spec.compression
+        )
 
     def step_sound_speed(
         self,

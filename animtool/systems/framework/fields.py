@@ -34,7 +34,7 @@ NamedOptions = Annotated[
 
 
 class FieldKind(StrEnum):
-    """Kind of data that the entry of a field is read into, for `SimContext.parts`.
+    """Kind of data that the entry of a field is read into, for `SimContext.entry_data`.
 
     A field has its kind in the annotation of its type.
     """

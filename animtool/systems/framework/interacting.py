@@ -144,7 +144,7 @@ class Interacting(ABC, Generic[State, InteractionSums]):
         """
         self._spec, self._begin, self._time_scale = spec, context.begin, time_scale
         poses = [
-            force_data["poses"] for force_data in context.parts.get(forces_key, ())
+            force_data["poses"] for force_data in context.entry_data.get(forces_key, ())
         ]
         self.external_forces = list(zip(getattr(spec, forces_key), poses, strict=True))
         tolerance = getattr(spec, "tolerance", None)

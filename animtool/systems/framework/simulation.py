@@ -67,7 +67,7 @@ class SimContext:
         last: Last requested time [s].
         colliders: Colliders of the entry: shapes, characters, meshes of files, and
             surfaces of other systems, at any time of a step.
-        parts: Data read for the keys of the entry, by key; a list for a list of
+        entry_data: Data read for the keys of the entry, by key; a list for a list of
             entries. It has forces, emitter shapes, shapes and arrays (`FieldKind`), a
             `Collider` for an entry with a shape, the record of a `RecordModel`, and a
             nested mapping for other models, with ``poses`` of placed ones. Plain values
@@ -85,7 +85,7 @@ class SimContext:
     begin: float
     last: float
     colliders: Colliders
-    parts: Mapping[str, Any]
+    entry_data: Mapping[str, Any]
     poses: Callable[[Any], Poses]
     budget: int | None = None
     members: Sequence[JoinedEntry] = ()

@@ -152,7 +152,7 @@ class JoinedEntry:
     name: str
     kind: str
     spec: Any
-    parts: Mapping[str, Any]  # data read for the keys of the entry, by key
+    entry_data: Mapping[str, Any]  # data read for the keys of the entry, by key
     record: Any = None  # record built by the spec of the entry
 
 

@@ -129,7 +129,7 @@ ListedForces: TypeAlias = tuple[AtomForces, FloatArray]
 def build(spec: MoleculesModel, context: SimContext) -> Molecules:
     """Build the atoms of a spec; raise SIM001, SIM005, SIM006, SIM071 if invalid."""
     box = PeriodicBox(spec)
-    atoms = Atoms.from_spec(spec, context.parts["species"], box)
+    atoms = Atoms.from_spec(spec, context.entry_data["species"], box)
     molecules = Molecules(spec, context, box, atoms)
     molecules.finish_setup()
     return molecules

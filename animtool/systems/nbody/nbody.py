@@ -78,7 +78,9 @@ def build(spec: NbodyModel, context: SimContext) -> Nbody:
     Raises SIM001, SIM005, SIM006 or SIM070 if the spec is invalid.
     """
     body_sets, refusals = [], RefusalCollector()
-    for body, data in zip(spec.bodies, context.parts.get("bodies", ()), strict=True):
+    for body, data in zip(
+        spec.bodies, context.entry_data.get("bodies", ()), strict=True
+    ):
         with refusals.collect():
             body_sets.append(
                 PointMasses.read(data, body.mass, "body", spec.code, "bodies")

@@ -76,7 +76,7 @@ _NO_PARTICLES = ParticleRunState(ParticleState.empty(), np.zeros((2, 0, 3)))
 
 def build(spec: ParticlesModel, context: SimContext) -> ParticleSimulation:
     """Build the simulation of a spec; raise as `ParticleSimulation` does."""
-    setup, colliders = spec.setup(context.parts), context.colliders
+    setup, colliders = spec.setup(context.entry_data), context.colliders
     setup = replace(
         setup, colliders=colliders[:], sheets=colliders.sheets, bodies=colliders.bodies
     )

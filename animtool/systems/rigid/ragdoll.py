@@ -15,7 +15,7 @@ import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
 from animtool.core.errors import Fault, OptionError
-from animtool.core.options import MAX_NUMBER, between
+from animtool.core.options import MAX_OPTION_VALUE, between
 from animtool.core.record import dataclass
 from animtool.maths import so3
 from animtool.rig.kinematics import WorldTransforms
@@ -65,7 +65,7 @@ class RagdollOptions:
     # Whether fingers without colliders get capsules attached to the hand.
     fingers: bool = True
     # Along the rig's negative up axis [m/s²].
-    gravity: Annotated[float, between(-MAX_NUMBER, "SIM062")] = 9.81
+    gravity: Annotated[float, between(-MAX_OPTION_VALUE, "SIM062")] = 9.81
     friction: Annotated[float, between(0.0, "SIM062")] = 0.6  # friction coefficient [1]
     colliders: ColliderEntries = ()  # colliders of the ragdoll
     # Step [s].

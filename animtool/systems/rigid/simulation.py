@@ -19,6 +19,7 @@ from animtool.sim.colliders import Collider, Colliders
 from animtool.sim.system import Energy
 from animtool.systems.framework.simulation import Diagnostics, SimContext
 from animtool.systems.particles.forces.base import Force
+from animtool.systems.rigid.active_sets import ActiveSet, ActiveSets
 from animtool.systems.rigid.bodies import RigidBodies
 from animtool.systems.rigid.coincident import coincident_notices, coincident_pairs
 from animtool.systems.rigid.half_sizes import half_size_notices
@@ -39,7 +40,6 @@ from animtool.systems.rigid.notices import (
     depth_notices,
     oscillation_notices,
 )
-from animtool.systems.rigid.phases import BodyPhase, BodyPhases
 from animtool.systems.rigid.physics import (
     body_entries,
     physics_record,
@@ -58,7 +58,7 @@ MAX_MOMENTUM = 1e100  # angular momenta [kg m²/s]
 
 def build(spec: RigidModel, context: SimContext) -> RigidSimulation:
     """Build the simulation of a spec; raise SIM020 or SIM061 if a key is invalid."""
-    entry_data, colliders = context.parts, context.colliders
+    entry_data, colliders = context.entry_data, context.colliders
     stages: Sequence[Physics] = entry_data.get("stages", ())
     models, body_data = list(spec.bodies), list(entry_data.get("bodies", ()))
     for k, stage in enumerate(stages):
@@ -101,11 +101,13 @@ class RigidSimulation(RigidStates):
         """Start at a time [s]; ``stage_colliders`` come after those of bodies."""
         self._spec, self._begin = spec, begin
         self.bodies, self.joints = bodies, joints
-        self._phases = BodyPhases(bodies, joints, colliders, stage_colliders)
+        self._active_sets = ActiveSets(bodies, joints, colliders, stage_colliders)
         self._forces = BodyForces(bodies, forces, begin)
         self._force_solver = StepForceSolver(spec.name, bodies, self._forces)
-        last_phase = self._phases.phase(self._phases.last_index, np.zeros(0, np.bool_))
-        self._colliders = last_phase.surroundings.colliders
+        last_set = self._active_sets.active_set(
+            self._active_sets.last_index, np.zeros(0, np.bool_)
+        )
+        self._colliders = last_set.surroundings.colliders
         self._locked_notices = locked_notices(joints, bodies)
         self._size_notices = half_size_notices(bodies, colliders)
         self._coincident_pairs = coincident_pairs(bodies, joints)
@@ -197,20 +199,22 @@ class RigidSimulation(RigidStates):
             state = next_state
         return state, substep_count
 
-    def _current_phase(self, state: RigidState, t: float, dt: float) -> BodyPhase:
-        """Return the phase of a step at a time [s]."""
+    def _current_set(self, state: RigidState, t: float, dt: float) -> ActiveSet:
+        """Return the active set of a step that starts at a time [s]."""
         is_broken = np.isfinite(state.broken[:, 0])
-        return self._phases.phase(self._phases.phase_index(t, dt), is_broken)
+        return self._active_sets.active_set(
+            self._active_sets.set_index(t, dt), is_broken
+        )
 
     def _is_constrained(self, state: RigidState, t: float, dt: float) -> BoolArray:
         """Return a mask of bodies with contacts or joints, or asleep ``(N,)``."""
         is_constrained = state.motion[:, 13] >= self._spec.sleep.time
         if not self._forces.is_variable:
             return is_constrained
-        phase = self._current_phase(state, t - dt, dt)
+        active_set = self._current_set(state, t - dt, dt)
         owners = np.append(self.bodies.cores_and_bodies[1], -1)
         pressing_pairs = state.pairs[state.contacts[:, 3:].any(axis=1)]
-        pressing_shapes = phase.full_shape_indices(pressing_pairs)
+        pressing_shapes = active_set.full_shape_indices(pressing_pairs)
         body_indices = owners[np.minimum(pressing_shapes, len(owners) - 1)].ravel()
         joint_bodies = self.joints.kinds_and_bodies[:, 1:]
         body_indices = np.concatenate([body_indices, joint_bodies.ravel()])
@@ -225,18 +229,18 @@ class RigidSimulation(RigidStates):
         if step_forces.velocities is not None:
             motion = motion.copy()
             motion[:, 7:10] = step_forces.velocities
-        phase = self._current_phase(state, t, dt)
-        is_same_phase = phase.phase_index == self._phases.phase_index(t - dt, dt)
-        is_free = phase.is_free
+        active_set = self._current_set(state, t, dt)
+        is_same_set = active_set.set_index == self._active_sets.set_index(t - dt, dt)
+        is_free = active_set.is_free
         kernel_result = _kernels.step_rigid(
-            self._kernel_arrays(phase, step_forces, t + dt),
+            self._kernel_arrays(active_set, step_forces, t + dt),
             motion[is_free],
-            state.pairs if is_same_phase else state.pairs[:0],
-            state.contacts if is_same_phase else state.contacts[:0],
-            state.held[phase.intact_joints],
+            state.pairs if is_same_set else state.pairs[:0],
+            state.contacts if is_same_set else state.contacts[:0],
+            state.held[active_set.intact_joints],
             step_forces.forces[is_free],
-            phase.surroundings.kernel_arrays(t, t + dt),
-            phase.joints.anchor_frames(t, t + dt),
+            active_set.surroundings.kernel_arrays(t, t + dt),
+            active_set.joints.anchor_frames(t, t + dt),
             dt,
             *self._kernel_settings,
         )
@@ -255,10 +259,10 @@ class RigidSimulation(RigidStates):
         for k, is_deeper in enumerate((depth > deepest[0], t == self._begin)):
             if is_deeper:
                 pair = np.array(kernel_result[10:12])
-                full_pair = phase.full_shape_indices(pair)
+                full_pair = active_set.full_shape_indices(pair)
                 deepest[k] = depth
                 deepest_pairs[k] = np.where(pair < 0, pair, full_pair)
-        broken, impulses = self._break_joints(state, phase, impulses, t + dt)
+        broken, impulses = self._break_joints(state, active_set, impulses, t + dt)
         max_step, oscillating_joint = (
             kernel_result[12] * self._spec.step / dt,
             kernel_result[13],
@@ -277,7 +281,7 @@ class RigidSimulation(RigidStates):
             awake,
             residual,
             max_step if is_worse else state.max_drive_step,
-            int(phase.intact_joints[oscillating_joint])
+            int(active_set.intact_joints[oscillating_joint])
             if is_worse
             else state.fastest_drive_joint,
         )
@@ -298,34 +302,36 @@ class RigidSimulation(RigidStates):
         raise ToleranceError(Fault("SIM102", message, hint=hint))
 
     def _kernel_arrays(
-        self, phase: BodyPhase, step_forces: StepForces, t: float
+        self, active_set: ActiveSet, step_forces: StepForces, t: float
     ) -> Any:
         """Return the kernel object with current drives and mass factors."""
         drive_parameters_at = self.joints.drive_parameters_at
         mass_factors = step_forces.mass_factors
         if drive_parameters_at is None and mass_factors is None:
-            return phase.kernel
-        parameters = phase.joints.parameters
+            return active_set.kernel
+        parameters = active_set.joints.parameters
         if drive_parameters_at is not None:
-            parameters = drive_parameters_at(t)[phase.intact_joints]
-        free_factors = 1.0 if mass_factors is None else mass_factors[phase.is_free]
-        return phase.with_parameters(parameters, free_factors)
+            parameters = drive_parameters_at(t)[active_set.intact_joints]
+        free_factors = 1.0 if mass_factors is None else mass_factors[active_set.is_free]
+        return active_set.with_parameters(parameters, free_factors)
 
     def _break_joints(
-        self, state: RigidState, phase: BodyPhase, impulses: FloatArray, t: float
+        self, state: RigidState, active_set: ActiveSet, impulses: FloatArray, t: float
     ) -> tuple[FloatArray, FloatArray]:
         """Return break times and loads ``(K, 3)``, and the impulses of all joints."""
         all_impulses = impulses
-        if len(phase.intact_joints) < len(self.joints):
+        if len(active_set.intact_joints) < len(self.joints):
             all_impulses = np.zeros_like(state.held)
-            all_impulses[phase.intact_joints] = impulses
+            all_impulses[active_set.intact_joints] = impulses
         if not len(state.broken):
             return state.broken, all_impulses
-        forces_and_torques = joint_forces_and_torques(phase.joints, impulses)
-        is_broken = (forces_and_torques > phase.joints.break_limits).any(axis=1)
+        forces_and_torques = joint_forces_and_torques(active_set.joints, impulses)
+        is_broken = (forces_and_torques > active_set.joints.break_limits).any(axis=1)
         break_rows = state.broken.copy()
-        break_rows[phase.intact_joints[is_broken], 0] = t
-        break_rows[phase.intact_joints[is_broken], 1:] = forces_and_torques[is_broken]
+        break_rows[active_set.intact_joints[is_broken], 0] = t
+        break_rows[active_set.intact_joints[is_broken], 1:] = forces_and_torques[
+            is_broken
+        ]
         return break_rows, all_impulses
 
     def _wake_sleepers(
@@ -383,7 +389,7 @@ class RigidSimulation(RigidStates):
 
     def is_free(self, t: float) -> BoolArray:
         """Return a mask of bodies dynamic at and after a time [s] ``(count,)``."""
-        return self._phases.is_free(t, self._spec.step)
+        return self._active_sets.is_free(t, self._spec.step)
 
     @cached_property
     def _physics(self) -> Physics | None:

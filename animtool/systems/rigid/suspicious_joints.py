@@ -13,9 +13,9 @@ from animtool.core.quantities import length_text, vector_text
 from animtool.maths import so3
 from animtool.systems.rigid.bodies import RigidBodies
 
-# A joint this far outside the box of a body, over the extent of the body, is away from
-# it; one within the rounding of a file touches it [1].
-MIN_OUTSIDE, MAX_ROUNDING = 0.2, 0.01
+# A joint outside the box of a body by more than this fraction of the body's extent is
+# away from it; one outside by no more than the rounding of a file touches it [1].
+MIN_OUTSIDE_RATIO, ROUNDING_TOLERANCE = 0.2, 0.01
 # Fewer ends of joints may fit another rotation by chance.
 MIN_FITTING_ENDS = 2
 
@@ -38,10 +38,10 @@ def quaternion_order_warnings(
     outside_ends: list[tuple[float, JointEnd]] = []
     for end, distance, other_distance in _distances(bodies, ends):
         extent = bodies.kind_of(end.body).bounding_radius
-        if other_distance > MAX_ROUNDING * extent:
-            if distance <= MIN_OUTSIDE * extent:
+        if other_distance > ROUNDING_TOLERANCE * extent:
+            if distance <= MIN_OUTSIDE_RATIO * extent:
                 return []
-        elif distance > MIN_OUTSIDE * extent:
+        elif distance > MIN_OUTSIDE_RATIO * extent:
             outside_ends.append((distance, end))
     if len(outside_ends) < MIN_FITTING_ENDS:
         return []
@@ -67,9 +67,9 @@ def _distances(
         stated_rotation = so3.normalize(np.array(kind.model.rotate, np.float64))
         rotation = stated_rotation[[1, 2, 3, 0]]
         # Copies and bodies that follow a prim have other rotations.
-        if abs(float(rotation @ pose[3:])) < 1 - MAX_ROUNDING**2:
+        if abs(float(rotation @ pose[3:])) < 1 - ROUNDING_TOLERANCE**2:
             continue
-        if abs(float(rotation @ stated_rotation)) > 1 - MAX_ROUNDING:
+        if abs(float(rotation @ stated_rotation)) > 1 - ROUNDING_TOLERANCE:
             continue  # it is nearly the same rotation with w last
         lower = np.min([c.points.min(axis=0) - c.radius for c in kind.cores], axis=0)
         upper = np.max([c.points.max(axis=0) + c.radius for c in kind.cores], axis=0)

@@ -61,7 +61,7 @@ class BodyEntry:
     """
 
     spec: Any  # keys of the entry
-    parts: Mapping[str, Any]  # what its keys name in files, such as arrays and meshes
+    entry_data: Mapping[str, Any]  # arrays and meshes read for its keys
     # Spring families by name; None for omitted ones.
     families: Mapping[str, Family | None] = field(default_factory=dict)
     mass: float = 1.0  # [kg]
@@ -123,7 +123,7 @@ def _rope(entry: BodyEntry, model: RopeModel) -> SpringBody | None:
 
 def _strands(entry: BodyEntry, model: StrandsModel) -> SpringBody | None:
     """Build strands; return None if the keys have faults."""
-    points = entry.parts["points"]
+    points = entry.entry_data["points"]
     if points is not None and not (
         points.ndim == 3
         and len(points)
@@ -185,7 +185,7 @@ def _cloth(entry: BodyEntry, model: ClothModel) -> SpringBody | None:
 
 def _mesh_cloth(entry: BodyEntry, prim: str) -> SpringBody | None:
     """Build cloth from a polygon mesh; return None if the mesh has faults."""
-    mesh = entry.parts["mesh"]
+    mesh = entry.entry_data["mesh"]
     if mesh is None:
         return None
     faces: tuple[IntArray, IntArray] = mesh.counts, mesh.indices
@@ -279,7 +279,9 @@ def _volume(entry: BodyEntry, model: VolumeModel) -> SpringBody | None:
 
 def _tetrahedra(entry: BodyEntry) -> SpringBody | None:
     """Build a volume of tetrahedra; return None if the arrays have faults."""
-    points, cells = (entry.parts["tetrahedra"][name] for name in ("points", "cells"))
+    points, cells = (
+        entry.entry_data["tetrahedra"][name] for name in ("points", "cells")
+    )
     edges = entry.families["structural"]
     if edges is None:
         message = "tetrahedra have structural springs, along their edges"

@@ -18,7 +18,7 @@ from animtool.sim.trials.trial import REFERENCE_FACTORS, Setting, step_settings
 from animtool.systems.framework.simulation import TrialSettings
 from animtool.systems.springs.body_coupling import BodyCoupling
 from animtool.systems.springs.checks import check_supports_self_contact
-from animtool.systems.springs.motion import MAX_SUBSTEPS
+from animtool.systems.springs.motion import MAX_SUBSTEPS_PER_CELL
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.system import SpringSystem
 
@@ -99,7 +99,7 @@ def choose_solver(
             steps = max(1, math.ceil(options.step * rate))
         return SolverChoice(solver, options.step, steps, reason, limit)
     if solver is Solver.SYMPLECTIC_EULER:
-        max_rate = MAX_SUBSTEPS / CELL
+        max_rate = MAX_SUBSTEPS_PER_CELL / CELL
         if rate > max_rate:
             message = f"{solver} needs {rate:.3g} steps per second, but the limit is "
             message += f"{max_rate:.3g} at most"
@@ -177,7 +177,7 @@ def _choose_cheapest(
     steps = INITIAL_SUBSTEPS[Solver.BDF2] / CELL if step is None else 1 / step
     if rate > MAX_SOLVABLE_RATE:
         return Solver.XPBD, f"{stability_text}, and bdf2 converges with no step"
-    if math.ceil(cell * rate) > MAX_SUBSTEPS:
+    if math.ceil(cell * rate) > MAX_SUBSTEPS_PER_CELL:
         return Solver.BDF2, f"{stability_text}, which are too many"
     explicit_cost = max(rate, 1 / cell) * STEP_COSTS[Solver.SYMPLECTIC_EULER]
     ratio = rate / steps if options.error is None else 1.0

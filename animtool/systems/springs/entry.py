@@ -146,10 +146,10 @@ def join_pairs(members: Sequence[JoinedEntry], starts: IntArray) -> IntArray:
 
 
 def read_entry(
-    spec: Any, parts: Mapping[str, Any]
+    spec: Any, entry_data: Mapping[str, Any]
 ) -> tuple[SpringEntry | None, list[Fault]]:
     """Build the record of an entry, or None with faults; also return all faults."""
-    entry = BodyEntry(spec, parts)
+    entry = BodyEntry(spec, entry_data)
     entry.families = _families(entry)
     entry.mass = entry.checked_mass("mass", spec.mass)
     body = BODY_BUILDERS[type(spec)](entry, spec)

@@ -19,13 +19,13 @@ from animtool.systems.springs.body import TornFlags
 from animtool.systems.springs.records import Solver
 
 # Most steps in a cell of time.
-MAX_SUBSTEPS = 4096
+MAX_SUBSTEPS_PER_CELL = 4096
 # Higher step rates are not suggested: lengths probably have another unit [1/s].
-MAX_RATE = 1e6
+MAX_SUGGESTED_STEP_RATE = 1e6
 
 
 class Piercing(NamedTuple):
-    """Maximum self-piercing counts of a surface over time."""
+    """Largest counts of self-intersections of a surface over time."""
 
     passed: int = 0  # number of particles through triangles, not yet resolved
     cut: int = 0  # number of edge pairs that passed through each other
@@ -156,7 +156,7 @@ class SpringMotion(Trajectory):
 def piercing_notices(
     piercing: Piercing, subject: str = "the surface", *, is_intact: bool = False
 ) -> list[Fault]:
-    """Return warnings about self-piercing of a surface (SIM144, SIM165, SIM167).
+    """Return warnings about self-intersections of a surface (SIM144, SIM165, SIM167).
 
     Args:
         piercing: Counts over time.
@@ -176,7 +176,7 @@ def piercing_notices(
         message = f"parts of {subject} moved past each other by many thicknesses in a "
         message += "step"
         hint = "use a shorter step"
-        if MAX_RATE < piercing.rate < math.inf:
+        if MAX_SUGGESTED_STEP_RATE < piercing.rate < math.inf:
             hint = "no step resolves it: check speeds, lengths and their units"
         elif math.isfinite(piercing.rate):
             hint = f"{math.ceil(piercing.rate)} steps per second resolve all contacts"

@@ -101,15 +101,17 @@ def read_pins(
     pins, joins = [], []
     pin_of_particle: dict[int, PinModel] = {}
     models: Sequence[PinModel] = entry.spec.pins
-    for i, (model, parts) in enumerate(zip(models, entry.parts["pins"], strict=True)):
+    for i, (model, pin_data) in enumerate(
+        zip(models, entry.entry_data["pins"], strict=True)
+    ):
         location: Location = ("pins", i)
-        groups = parts["particles"]
+        groups = pin_data["particles"]
         particles = _particles_of(entry, (*location, "particles"), groups, body)
         if model.to is not None:
             _check_exclusive_keys(entry, location, model, "to")
             joins.append(Join(particles, model.to, f"pins[{i}].to"))
             continue
-        carrier = _carrier(entry, location, model, parts)
+        carrier = _carrier(entry, location, model, pin_data)
         new_particles = particles
         if model.stiffness is None:
             new_particles = _claim_particles(
@@ -212,7 +214,7 @@ def _check_exclusive_keys(
 
 
 def _carrier(
-    entry: BodyEntry, location: Location, model: PinModel, parts: Mapping[str, Any]
+    entry: BodyEntry, location: Location, model: PinModel, pin_data: Mapping[str, Any]
 ) -> Any:
     """Return the carrier of a pin; report keys that conflict with it."""
     if model.moves:
@@ -223,7 +225,7 @@ def _carrier(
     for key in CARRIER_KEYS:
         if getattr(model, key) is not None:
             _check_exclusive_keys(entry, location, model, key)
-            carrier = parts[key]
+            carrier = pin_data[key]
             if isinstance(carrier, BodyCarrier):
                 where = ".".join((f"pins[{location[1]}]", key, "body"))
                 carrier = replace(carrier, where=where)

@@ -263,11 +263,13 @@ class SpringsModel(SolvedModel):
         "Start in static equilibrium, without air and colliders.", True, default=False
     )
 
-    def build_record(self, parts: Mapping[str, Any]) -> tuple[Any, Sequence[Fault]]:
+    def build_record(
+        self, entry_data: Mapping[str, Any]
+    ) -> tuple[Any, Sequence[Fault]]:
         """Return particles, springs and pins, and all faults."""
         # Loaded by name, as the module imports these models.
         read_record: Any = load_object("animtool.systems.springs.entry:read_entry")
-        result: tuple[Any, Sequence[Fault]] = read_record(self, parts)
+        result: tuple[Any, Sequence[Fault]] = read_record(self, entry_data)
         return result
 
     def shared(self, *, has_colliders: bool = True) -> Mapping[str, Any]:

@@ -22,7 +22,11 @@ from animtool.systems.springs.choosing import (
     explicit_limit,
 )
 from animtool.systems.springs.equilibrium import find_xpbd_rest
-from animtool.systems.springs.motion import MAX_SUBSTEPS, SpringMotion, TimeGrid
+from animtool.systems.springs.motion import (
+    MAX_SUBSTEPS_PER_CELL,
+    SpringMotion,
+    TimeGrid,
+)
 from animtool.systems.springs.records import Solver, SpringOptions
 from animtool.systems.springs.simulation import SpringSimulation, as_errors
 from animtool.systems.springs.solvers import SpringPlan
@@ -121,7 +125,7 @@ def _refine_until(
     substeps, estimate = choice.substeps, np.inf
     for _ in range(MAX_HALVINGS):
         substeps *= 2
-        if substeps > MAX_SUBSTEPS:
+        if substeps > MAX_SUBSTEPS_PER_CELL:
             break
         fine = simulate_with(substeps)
         if coarse.stats.status is Status.OK is fine.stats.status:

@@ -72,8 +72,9 @@ def _check_target(
         yield finding("USD208", relationship.GetPath(), message)
 
 
-# Two quaternions are the same rotation if |cos| of their half angle is above this.
-MIN_SAME_COSINE = 0.7
+# Consecutive quaternions are treated as the same rotation if |cos| of half the angle
+# between them is above this.
+MIN_SAME_ROTATION_COSINE = 0.7
 
 
 def check_animations(checked_stage: CheckedStage) -> Iterator[Fault]:
@@ -171,7 +172,7 @@ def _check_rotations(
         yield finding("USD203", attr.GetPath(), message)
         return
     cosines = np.einsum("fjc,fjc->fj", values[1:], values[:-1])
-    is_flipped = cosines < -MIN_SAME_COSINE
+    is_flipped = cosines < -MIN_SAME_ROTATION_COSINE
     if is_flipped.any():
         names = [joints[j] for j in np.flatnonzero(is_flipped.any(axis=0))]
         flipped_samples = sample_indices[1:][is_flipped.any(axis=1)]

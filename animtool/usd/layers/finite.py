@@ -29,7 +29,7 @@ _SCALAR_TYPE_CODES = {"GfHalf": "h", "float": "f", "double": "d", "GfTimeCode": 
 _HALF_MAGNITUDE, _HALF_LIMIT = np.uint16(0x7FFF), 0x7BFF
 # Half the distance between the largest float32 and the next smaller one: rounding
 # within the range changes a coordinate by no more than this.
-_MAX_ROUNDING = 2.0**103
+_MAX_ROUNDING_ERROR = 2.0**103
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,7 +97,7 @@ def round_to_float32(
     )
     # The error of an out-of-range value exceeds any rounding error, so this test
     # suffices.
-    if not error < _MAX_ROUNDING * meters_per_unit:
+    if not error < _MAX_ROUNDING_ERROR * meters_per_unit:
         with np.errstate(all="ignore"):
             unit_points = points / meters_per_unit
             float32_points = unit_points.astype(np.float32)

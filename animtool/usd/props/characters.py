@@ -35,7 +35,7 @@ from animtool.usd.layers.sdf import (
 from animtool.usd.props.sparse import (
     FOOT_TOLERANCE,
     JOINT_TOLERANCE,
-    RotationChain,
+    PoseSkeleton,
     find_rotating_joints,
     select_samples,
     slerp,
@@ -188,8 +188,8 @@ class _CharacterTrack:
         return np.union1d(cast.animated, np.array(cast.feet))
 
     @cached_property
-    def chain(self) -> RotationChain:
-        """The pose joints as a chain; static joints between them stay at rest."""
+    def pose_skeleton(self) -> PoseSkeleton:
+        """The pose joints as a skeleton; static joints between them stay at rest."""
         rig, pose_joints = self.cast.rig, self.pose_joints.tolist()
         animated_index = {
             joint: m for m, joint in enumerate(self.cast.animated.tolist())
@@ -208,7 +208,7 @@ class _CharacterTrack:
             parents.append(pose_joints.index(parent) if parent >= 0 else -1)
             positions.append(position)
             rotations.append(rotation)
-        return RotationChain(
+        return PoseSkeleton(
             np.array(parents),
             np.array([animated_index.get(joint, -1) for joint in pose_joints]),
             np.array(positions),
@@ -249,7 +249,7 @@ class _CharacterGroup:
             )
             rotations[:, ~is_rotating] = rotations[:1, ~is_rotating]
             is_written, corrections = select_samples(
-                rotations, track.chain, track.near_ground[:, i]
+                rotations, track.pose_skeleton, track.near_ground[:, i]
             )
             report.own += 1
             report.samples += int(is_written.sum())

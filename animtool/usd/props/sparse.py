@@ -30,8 +30,8 @@ SPAN_SPLITS = {
 
 
 @dataclass(frozen=True)
-class RotationChain:
-    """Joints that define a pose, as input of `fitting_spans`.
+class PoseSkeleton:
+    """Skeleton of the joints that define a pose, without static joints between them.
 
     Attributes:
         parents: Index of each joint's parent among them, -1 for none ``(S,)``.
@@ -71,7 +71,7 @@ class RotationChain:
 
 
 def select_samples(
-    rotations: Float32Array, chain: RotationChain, is_planted: BoolArray
+    rotations: Float32Array, pose_skeleton: PoseSkeleton, is_planted: BoolArray
 ) -> tuple[BoolArray, FloatArray]:
     """Return which poses ``(F, M, 4)`` of a character to write ``(F,)``.
 
@@ -81,7 +81,7 @@ def select_samples(
 
     Args:
         rotations: Rotations of the joints.
-        chain: The joints.
+        pose_skeleton: The joints, with their rest pose.
         is_planted: Whether each foot is on or near the ground ``(F, 2)``.
     """
     exact_rotations = rotations.astype(np.float64)
@@ -100,7 +100,7 @@ def select_samples(
         candidate_frames = np.flatnonzero(is_candidate)
         valid_spans[span] = np.zeros(frame_count, np.bool_)
         if len(candidate_frames):
-            is_valid, span_offsets = chain.find_valid_spans(
+            is_valid, span_offsets = pose_skeleton.find_valid_spans(
                 exact_rotations, is_planted, candidate_frames, span
             )
             valid_spans[span][candidate_frames] = is_valid

@@ -21,7 +21,7 @@ from pxr import Sdf, Usd
 from animtool.core.arguments import argument
 from animtool.core.errors import Fault, OptionError, OutputError, excerpt, listed
 from animtool.core.names import most_similar
-from animtool.core.rates import MAX_FRAME
+from animtool.core.rates import MAX_FRAME_NUMBER
 from animtool.core.record import dataclass
 from animtool.usd.layers.names import TAKE_SET, RigPaths, replace_prefix
 from animtool.usd.layers.sdf import new_layer, open_layer, usd_errors
@@ -81,7 +81,7 @@ def stored_take_range(animation: Any) -> tuple[Fraction, Fraction] | None:
     numbers = [
         float(value) for value in range_values if isinstance(value, (int, float))
     ]
-    if len(numbers) < 2 or not all(abs(value) <= MAX_FRAME for value in numbers):
+    if len(numbers) < 2 or not all(abs(value) <= MAX_FRAME_NUMBER for value in numbers):
         return None
     first_code, last_code = (
         Fraction(value).limit_denominator(1_000_000) for value in numbers

@@ -167,7 +167,10 @@ def _build_segments(curves: Curves, index: int) -> list[_CurveSegment]:
         [curves.times[index : index + 2], curves.values[index : index + 2]], axis=1
     )
     duration = float(end_points[1, 0] - end_points[0, 0])
-    out_handle, in_handle = curves.outs[index].copy(), curves.ins[index + 1].copy()
+    out_handle, in_handle = (
+        curves.out_handles[index].copy(),
+        curves.in_handles[index + 1].copy(),
+    )
     if kind is SegmentKind.CUBIC:
         out_handle[0], in_handle[0] = duration / 3, -duration / 3
     out_handle = _clamp_handle(out_handle, duration)

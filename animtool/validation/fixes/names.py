@@ -11,7 +11,7 @@ from animtool.core.config import project_roots
 from animtool.core.errors import AnimtoolError, Fault, FormatError, counted, listed
 from animtool.core.files.reading import matching_files
 from animtool.core.names import unused_name
-from animtool.core.readers import DOCUMENT, READERS
+from animtool.core.readers import READERS, RIG_AND_CLIP_FILES
 from animtool.documents.document import (
     Location,
     parse_document,
@@ -104,7 +104,7 @@ def _is_same_rig(other_path: Path, rig: Path) -> bool:
     """Return whether a path is the rig file, or a sidecar file that may refer to it."""
     if other_path == rig:
         return True
-    if READERS.get(other_path.suffix.lower()) is not DOCUMENT:
+    if READERS.get(other_path.suffix.lower()) is not RIG_AND_CLIP_FILES:
         return False
     try:
         return "from" in read_document(other_path).value

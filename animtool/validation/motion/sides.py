@@ -29,12 +29,16 @@ RIGID_NAMES = re.compile(
 # A smaller scale makes geometry invisible [1].
 MIN_VISIBLE_SCALE = 1e-4
 # Weights beyond 1 exaggerate; larger ones are in percent, or wrong [1].
-MAX_WEIGHT, MIN_WEIGHT = 2.0, -1.0
+MAX_PLAUSIBLE_WEIGHT, MIN_PLAUSIBLE_WEIGHT = 2.0, -1.0
 MIN_PERCENT_WEIGHT = 10.0
 # Largest length ratio of bones between bind and rest pose, and the fraction of bones
 # that may exceed it; and the largest distance of the bind pose [size].
-MAX_BONE_RATIO, MAX_DIFFERENT_FRACTION, MAX_BIND_DISTANCE = 2.0, 0.5, 1.5
-MIN_BONE_LENGTH = 0.02
+MAX_BONE_LENGTH_RATIO, MAX_DIFFERENT_BONE_FRACTION, MAX_BIND_DISTANCE_RATIO = (
+    2.0,
+    0.5,
+    1.5,
+)
+MIN_BONE_LENGTH_RATIO = 0.02
 
 
 def motionless_take(subject: MotionSubject) -> Iterator[Fault]:
@@ -84,7 +88,9 @@ def large_weights(subject: MotionSubject) -> Iterator[Fault]:
     if weights is None or is_reported:
         return
     weight_values = weights.dense()[..., 0]
-    is_large = (weight_values > MAX_WEIGHT) | (weight_values < MIN_WEIGHT)
+    is_large = (weight_values > MAX_PLAUSIBLE_WEIGHT) | (
+        weight_values < MIN_PLAUSIBLE_WEIGHT
+    )
     if not is_large.any():
         return
     largest_index = int(np.where(is_large, np.abs(weight_values), 0).argmax())
@@ -114,7 +120,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         subject.bind_positions,
         subject.rest_positions,
     )
-    mean_distance = float(
+    centroid_distance = float(
         np.linalg.norm(bind_positions.mean(axis=0) - rest_positions.mean(axis=0))
     )
     parents = rig.parents
@@ -122,7 +128,7 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
     rest_lengths = np.linalg.norm(
         rest_positions[child_joints] - rest_positions[parents[child_joints]], axis=1
     )
-    is_measured = rest_lengths > MIN_BONE_LENGTH * subject.size
+    is_measured = rest_lengths > MIN_BONE_LENGTH_RATIO * subject.size
     child_joints, rest_lengths = child_joints[is_measured], rest_lengths[is_measured]
     length_ratios = (
         np.linalg.norm(
@@ -130,11 +136,11 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         )
         / rest_lengths
     )
-    is_different = (length_ratios > MAX_BONE_RATIO) | (
-        length_ratios < 1.0 / MAX_BONE_RATIO
+    is_different = (length_ratios > MAX_BONE_LENGTH_RATIO) | (
+        length_ratios < 1.0 / MAX_BONE_LENGTH_RATIO
     )
     hint = "bind transforms are in world space, in the pose in which the mesh was bound"
-    if len(child_joints) and float(is_different.mean()) > MAX_DIFFERENT_FRACTION:
+    if len(child_joints) and float(is_different.mean()) > MAX_DIFFERENT_BONE_FRACTION:
         most_different = int(np.abs(np.log(np.maximum(length_ratios, 1e-12))).argmax())
         joint = int(child_joints[most_different])
         message = (
@@ -144,16 +150,16 @@ def bind_far_from_rest(subject: MotionSubject) -> Iterator[Fault]:
         )
         yield subject.fault("MOT220", joint, None, message, hint)
         return
-    if mean_distance > MAX_BIND_DISTANCE * subject.size:
+    if centroid_distance > MAX_BIND_DISTANCE_RATIO * subject.size:
         message = (
-            f"the bind pose is {mean_distance:.3g} m from the rest pose, of a skeleton "
-            f"that spans {subject.size:.3g} m"
+            f"the bind pose is {centroid_distance:.3g} m from the rest pose, of a "
+            f"skeleton that spans {subject.size:.3g} m"
         )
         yield subject.fault("MOT220", int(rig.roots[0]), None, message, hint)
         return
     joint_distances = np.linalg.norm(bind_positions - rest_positions, axis=1)
     joint = int(joint_distances.argmax())
-    if joint_distances[joint] > MAX_BIND_DISTANCE * subject.size:
+    if joint_distances[joint] > MAX_BIND_DISTANCE_RATIO * subject.size:
         message = (
             f"{rig.joints[joint].name!r} is {joint_distances[joint]:.3g} m from its "
             "rest position in the bind pose, of a skeleton that spans "
@@ -198,7 +204,7 @@ MIN_SWAPPED_PAIRS = 2
 # the deviation from continuing the own motion [1].
 MAX_SWAP_RATIO = 0.35
 # For a single pair the fraction is lower, and the step larger [1], [rad].
-MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_SWAP = 0.1, math.radians(20.0)
+MAX_SINGLE_SWAP_RATIO, MIN_SINGLE_SWAP_ANGLE = 0.1, math.radians(20.0)
 
 
 def _side_pairs(subject: MotionSubject) -> list[tuple[int, int]]:
@@ -251,7 +257,7 @@ def _side_swaps(
     is_swapped &= ~subject.cut_mask()[:, None]
     total_angle = np.where(is_swapped, from_same_side, 0.0).sum(axis=1)
     has_enough_pairs = is_swapped.sum(axis=1) >= min(MIN_SWAPPED_PAIRS, len(pairs))
-    is_certain = from_same_side > MIN_SINGLE_SWAP
+    is_certain = from_same_side > MIN_SINGLE_SWAP_ANGLE
     is_certain &= from_other_side < MAX_SINGLE_SWAP_RATIO * from_same_side
     is_large_swap = (total_angle > MIN_TOTAL_SWAP_ANGLE) & has_enough_pairs
     is_swapped &= is_large_swap[:, None] | is_certain

@@ -18,7 +18,7 @@ from animtool.documents.document import read_document
 from animtool.documents.variables import resolve_variables
 from animtool.motion.passes import Pass, TakePart
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import create_outline, take_name
+from animtool.scene.bake.request import create_request, take_name
 from animtool.scene.file.schema import model_for
 from animtool.validation.subjects.scene import SceneSubject
 
@@ -32,7 +32,7 @@ def outputs_over_inputs(subject: SceneSubject) -> Iterator[Fault]:
             continue
         rig_layers = [output.bake.rig_layer] if output.bake.rig_layer else []
         inputs = {path.resolve() for path in (*read_files, *rig_layers)}
-        files = create_outline(replace(scene, outputs=(output,)), None).files
+        files = create_request(replace(scene, outputs=(output,)), None).files
         overwritten_names = [
             repr(path.name) for path in files if path.resolve() in inputs
         ]

@@ -11,17 +11,17 @@ from animtool.core.files.reading import unreadable_error
 from animtool.core.names import has_kind_suffix
 from animtool.core.plugins import load_object
 from animtool.core.readers import (
-    ARRAYS,
     BVH,
     C3D,
-    DOCUMENT,
     EXPORT_HINTS,
     FBX,
     GLTF,
     LIVELINK,
+    MARKER_ARRAYS,
     MJCF,
     MOT,
     READERS,
+    RIG_AND_CLIP_FILES,
     STO,
     TRC,
     URDF,
@@ -128,7 +128,7 @@ DOCUMENT_SUFFIXES = tuple(
     f".{kind}{suffix}"
     for kind in sorted(_DOCUMENT_KINDS)
     for suffix, reader in READERS.items()
-    if reader is DOCUMENT
+    if reader is RIG_AND_CLIP_FILES
 )
 _SEARCHED_READERS = (BVH, USD, GLTF, FBX, URDF, C3D, TRC)
 INPUT_SUFFIXES = (
@@ -169,7 +169,7 @@ _KINDS_BY_READER = {
     LIVELINK: Kind.LIVELINK,
     C3D: Kind.TRAJECTORIES,
     TRC: Kind.TRAJECTORIES,
-    ARRAYS: Kind.TRAJECTORIES,
+    MARKER_ARRAYS: Kind.TRAJECTORIES,
     MOT: Kind.COORDINATES,
     STO: Kind.COORDINATES,
 }
@@ -181,7 +181,7 @@ def open_file(path: Path, values: SceneValues | None = None) -> CheckedFile:
     ``values``: batch values of the variables of a scene.
     """
     reader = reader_of(path)
-    if reader is DOCUMENT:
+    if reader is RIG_AND_CLIP_FILES:
         from animtool.documents.document import read_document
 
         document = read_document(path)

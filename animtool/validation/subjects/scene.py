@@ -113,12 +113,12 @@ def open_scene(
 
 def _planning_faults(scene: Scene, take: Take | None) -> list[Fault]:
     """Return errors of planning a bake, and warnings about initial system states."""
-    from animtool.scene.bake.outline import create_outline  # loads USD
     from animtool.scene.bake.plan import planning_faults
+    from animtool.scene.bake.request import create_request  # loads USD
 
     refused_faults = [
         replace(fault, code=REFUSED_CODE) if fault.code in OPTION_CODES else fault
-        for fault in planning_faults(create_outline(scene, None), take)
+        for fault in planning_faults(create_request(scene, None), take)
     ]
     return [*refused_faults, *_system_faults(scene, take)]
 

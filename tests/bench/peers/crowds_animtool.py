@@ -60,7 +60,7 @@ def main(source: str, runs: str, output: str, headway: str = "") -> None:
             begin=0.0,
             last=steps * step,
             colliders=Colliders([]),
-            parts=parts,
+            entry_data=parts,
             budget=None,
         )
         crowd = build(CrowdsModel.model_validate(entry), context)

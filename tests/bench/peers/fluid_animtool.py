@@ -28,7 +28,7 @@ def main(source: str, runs: str, output: str) -> None:
     )
     parts = {"fills": [{"points": arrays["x"]}], "forces": [find_force("gravity")()]}
     context = SimpleNamespace(
-        begin=0.0, last=9.0, budget=None, colliders=Colliders([walls]), parts=parts
+        begin=0.0, last=9.0, budget=None, colliders=Colliders([walls]), entry_data=parts
     )
     spec = FluidModel.model_validate(
         {

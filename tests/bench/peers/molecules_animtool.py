@@ -13,7 +13,7 @@ from animtool.systems.molecules.spec import MoleculesModel
 
 class _Context:
     begin, last, colliders, budget = 0.0, 0.0, Colliders([]), None
-    parts = {"species": [{}]}  # noqa: RUF012
+    entry_data = {"species": [{}]}  # noqa: RUF012
 
 
 def main(source: str, runs: str, steps: str, method: str = "velocity_verlet") -> None:

@@ -21,7 +21,7 @@ GALAXY = {
 
 class _Context:
     begin, last, colliders, budget = 0.0, 0.0, Colliders([]), None
-    parts = {}  # noqa: RUF012
+    entry_data = {}  # noqa: RUF012
 
 
 def main(until: str, *settings: str) -> None:

@@ -22,7 +22,7 @@ from animtool.motion.passes import PASSES, FrameScope, Pass, PassContext
 from animtool.motion.take import Take
 from animtool.scene.bake.bake import bake_outputs
 from animtool.scene.bake.options import BakeOptions
-from animtool.scene.bake.outline import create_outline
+from animtool.scene.bake.request import create_request
 from animtool.scene.file.read import load_scene
 
 SCENE = """scene: animtool/1
@@ -206,7 +206,7 @@ def test_the_command_line(shot: Path) -> None:
 
 
 def test_files_are_known_beforehand(shot: Path) -> None:
-    found = create_outline(load_scene(shot), None).files
+    found = create_request(load_scene(shot), None).files
     assert sorted(path.name for path in found) == FILES
 
 

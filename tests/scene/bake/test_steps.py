@@ -12,7 +12,7 @@ from support.cli import animtool
 
 from animtool import open_source
 from animtool.core.errors import OptionError
-from animtool.scene.bake.outline import create_outline
+from animtool.scene.bake.request import create_request
 from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 
@@ -38,7 +38,7 @@ def shot(walk: Path, tmp_path: Path) -> Path:
 
 
 def test_the_steps_of_a_scene(shot: Path) -> None:
-    steps = bake_steps(create_outline(shot, None))
+    steps = bake_steps(create_request(shot, None))
     assert [(step.kind, Path(step.name).name, step.where) for step in steps] == [
         (StepKind.SOURCE, "walk.bvh", "source"),
         (StepKind.PASS, "trim", "passes[0].trim"),
@@ -69,16 +69,16 @@ def test_a_plan_runs_and_writes_nothing(shot: Path) -> None:
     as_json = json.loads(animtool("bake", shot, "--plan", "--format", "json").stdout)
     assert as_json["plan"] == "animtool/1"
     assert [step["kind"] for step in as_json["steps"]] == [
-        step.kind for step in bake_steps(create_outline(shot, None))
+        step.kind for step in bake_steps(create_request(shot, None))
     ]
 
 
 def test_what_is_there_is_marked(shot: Path, walk: Path) -> None:
     out = shot.parent / "walk.usdc"
-    [_, output] = bake_steps(create_outline(walk, out))
+    [_, output] = bake_steps(create_request(walk, out))
     assert output.makes[1] == str(out)
     out.touch()
-    [_, output] = bake_steps(create_outline(walk, out))
+    [_, output] = bake_steps(create_request(walk, out))
     assert output.makes[1] == f"{out} (exists)"
 
 
@@ -109,7 +109,7 @@ def test_a_pass_that_takes_curves_is_named(workplace: Path) -> None:
         "passes: [{trim: {first: 3}}]\noutput: {file: o.usdc, keep_curves: true}\n",
         "utf-8",
     )
-    _, trim, output = bake_steps(create_outline(path, None))
+    _, trim, output = bake_steps(create_request(path, None))
     assert any("curves of controls" in entry for entry in trim.left_out)
     assert "curves of controls: the pass trim may change these" in output.left_out
 
@@ -121,7 +121,7 @@ def test_several_sources_are_steps(workplace: Path) -> None:
         "- {file: samples/walk/walk.bvh, tracks: {joints: [Head]}}\n",
         "utf-8",
     )
-    steps = bake_steps(create_outline([path, path], workplace / "o.usdc"))
+    steps = bake_steps(create_request([path, path], workplace / "o.usdc"))
     assert [step.kind for step in steps].count(StepKind.SOURCE) == 4
 
 

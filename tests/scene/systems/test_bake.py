@@ -15,7 +15,7 @@ from animtool.cli.summary import BAKE_TEMPLATE
 from animtool.core.errors import AnimtoolError, FormatError, OptionError, ToleranceError
 from animtool.core.units import LengthUnit
 from animtool.core.values import plain_value
-from animtool.scene.bake.outline import create_outline
+from animtool.scene.bake.request import create_request
 from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 from animtool.scene.sources.open import SourceOptions
@@ -169,7 +169,7 @@ def test_a_character_without_capsules_is_said(walk: Path, tmp_path: Path) -> Non
 
 
 def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
-    steps = bake_steps(create_outline(written(tmp_path, SCENE), tmp_path / "x.usdc"))
+    steps = bake_steps(create_request(written(tmp_path, SCENE), tmp_path / "x.usdc"))
     assert [step.kind for step in steps] == [StepKind.SYSTEM, StepKind.OUTPUT]
     assert steps[0].reads == ("1 emitter", "2 forces", "2 colliders")
 

@@ -13,7 +13,7 @@ from support.cli import animtool
 
 from animtool.core.errors import FormatError
 from animtool.report.describe_scene import describe_scene
-from animtool.scene.bake.outline import create_outline
+from animtool.scene.bake.request import create_request
 from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 from animtool.scene.systems import simulation
@@ -138,7 +138,7 @@ def test_plans_and_info_say_what_goes_where(tmp_path: Path) -> None:
         "\n- {file: snow.usdc, systems: [snow]}\n- {file: flag.usdc, systems: [flag]}"
     )
     scene = load_scene(written(tmp_path, text))
-    steps = bake_steps(create_outline(scene, None))
+    steps = bake_steps(create_request(scene, None))
     systems = [step.name for step in steps if step.kind is StepKind.SYSTEM]
     made = [step.makes[0] for step in steps if step.kind is StepKind.OUTPUT]
     assert systems == ["flag", "snow"]
@@ -148,7 +148,7 @@ def test_plans_and_info_say_what_goes_where(tmp_path: Path) -> None:
     ]
     found = describe_scene(scene)
     assert [output.systems for output in found.outputs] == [["snow"], ["flag"]]
-    files = create_outline(scene, None).files
+    files = create_request(scene, None).files
     assert [path.name for path in files] == ["snow.usdc", "flag.usdc"]
 
 

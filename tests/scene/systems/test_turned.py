@@ -13,7 +13,7 @@ from animtool import bake
 from animtool.core.errors import AnimtoolError, FormatError
 from animtool.maths import so3
 from animtool.scene.file.read import load_scene
-from animtool.scene.systems.surroundings import moving_sheet
+from animtool.scene.systems.surroundings import animated_surface
 from animtool.sim.colliders import Poses
 from animtool.systems.framework.fields import MovingMeshModel
 
@@ -137,7 +137,7 @@ def test_a_mesh_is_somewhere(tmp_path: Path, stage: Usd.Stage) -> None:
     stage.Save()
     mesh = MovingMeshModel(file=str(tmp_path / "set.usda"), prim="/sheet")
     with raises(AnimtoolError, "SIM051"):
-        moving_sheet(mesh)
+        animated_surface(mesh)
 
 
 def test_a_mesh_keeps_its_points(tmp_path: Path, stage: Usd.Stage) -> None:
@@ -145,7 +145,7 @@ def test_a_mesh_keeps_its_points(tmp_path: Path, stage: Usd.Stage) -> None:
     points.Set(Vt.Vec3fArray(5), 48)
     stage.Save()
     mesh = MovingMeshModel(file=str(tmp_path / "set.usda"), prim="/sheet")
-    motion = moving_sheet(mesh).motion
+    motion = animated_surface(mesh).motion
     assert len(motion.points(-1.0)) == 4
     with pytest.raises(AnimtoolError) as error:
         motion.points(1.0)

@@ -24,7 +24,7 @@ from animtool.core.units import LengthUnit, UpAxis
 from animtool.core.values import plain_value
 from animtool.rig.file import load_rig
 from animtool.scene.bake.bake import bake_outputs
-from animtool.scene.bake.outline import create_outline
+from animtool.scene.bake.request import create_request
 from animtool.scene.bake.steps import StepKind, bake_steps
 from animtool.scene.file.read import load_scene
 from animtool.scene.sources.open import open_source
@@ -329,7 +329,7 @@ def test_several_outputs(tmp_path: Path) -> None:
 
 
 def test_what_a_bake_would_do_is_said(tmp_path: Path) -> None:
-    steps = bake_steps(create_outline(scene(tmp_path), tmp_path / "x.usdc"))
+    steps = bake_steps(create_request(scene(tmp_path), tmp_path / "x.usdc"))
     kinds = [step.kind for step in steps]
     assert kinds == [StepKind.SOURCE, StepKind.SYSTEM, StepKind.OUTPUT]
     assert steps[1].reads == ("1 emitter", "the character")

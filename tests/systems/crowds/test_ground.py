@@ -89,7 +89,7 @@ def test_the_ground_may_be_a_mesh_of_a_file() -> None:
     points = np.array([[0.0, 1, 0], [0, 1, 4], [4, 1, 4], [4, 1, 0]])
     mesh = MeshFrame(points, np.zeros((4, 3)), np.array([4]), np.arange(4))
     context: Any = SimpleNamespace(
-        parts={"ground": {"poses": Poses(), "mesh": lambda: (mesh,)}}, begin=0.0
+        entry_data={"ground": {"poses": Poses(), "mesh": lambda: (mesh,)}}, begin=0.0
     )
     _, terrain = read_ground(context)
     heights, _ = terrain(np.array([[1.0, 2.0], [5.0, 2.0]]))

@@ -331,7 +331,7 @@ class _Context:
     begin, colliders = 0.0, Colliders([])
 
     def __init__(self, *parts: Any, colliders: Any = (), forces: Any = ()) -> None:
-        self.parts = {"species": list(parts), "forces": list(forces)}
+        self.entry_data = {"species": list(parts), "forces": list(forces)}
         self.colliders = Colliders(list(colliders))
 
 

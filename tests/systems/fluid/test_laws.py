@@ -31,7 +31,7 @@ class _Context:
     begin = 1.0
 
     def __init__(self, parts: dict[str, Any], colliders: Any) -> None:
-        self.parts, self.colliders = parts, Colliders(list(colliders))
+        self.entry_data, self.colliders = parts, Colliders(list(colliders))
 
 
 def fluid(

@@ -84,7 +84,7 @@ def test_a_surface_needs_what_makes_it_and_points_do_not(
 
     class Context:
         begin, colliders = 0.0, Colliders([])
-        parts = {"fills": [{"points": np.zeros((1, 3))}]}  # noqa: RUF012
+        entry_data = {"fills": [{"points": np.zeros((1, 3))}]}  # noqa: RUF012
 
     def made(**keys: Any) -> Fluid:
         given = {"name": "it", "spacing": 0.1, "fills": [{"points": "a"}], **keys}

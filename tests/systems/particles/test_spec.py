@@ -97,7 +97,7 @@ def test_evaluations_of_a_step_are_as_many_as_the_context_allows(
     parts = {"emitters": [Emitter(rate=1)], "forces": [], "kill": []}
     floor = Collider(Plane(), Poses.fixed())
     context = SimpleNamespace(
-        parts=parts, colliders=Colliders([floor]), budget=budget, begin=2.0
+        entry_data=parts, colliders=Colliders([floor]), budget=budget, begin=2.0
     )
     made = build(spec, context)  # type: ignore[arg-type]
     assert made.begin == 2

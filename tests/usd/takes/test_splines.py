@@ -85,7 +85,7 @@ def curve(
 
 def handles(curves: Curves, i: int) -> tuple[Floats, Floats, float]:
     h = float(curves.times[i + 1] - curves.times[i])
-    out, into = curves.outs[i].copy(), curves.ins[i + 1].copy()
+    out, into = curves.out_handles[i].copy(), curves.in_handles[i + 1].copy()
     if curves.kinds[i] == SegmentKind.CUBIC:
         out[0], into[0] = h / 3, -h / 3
     out *= h / max(h, abs(out[0]))

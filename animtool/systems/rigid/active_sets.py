@@ -1,4 +1,4 @@
-"""Dynamic bodies and active joints over time, split at releases and breaks."""
+"""Sets of dynamic bodies and intact joints, which change at releases and breaks."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ RELEASE_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True)
-class BodyPhase:
+class ActiveSet:
     """The dynamic bodies and intact joints between two releases or breaks."""
 
-    # Index of the phase; contacts of other phases refer to other shapes.
-    phase_index: int
+    # Number of releases before it; contacts of other sets refer to other shapes.
+    set_index: int
     bodies: RigidBodies  # all bodies; those not released yet are kinematic
     is_free: BoolArray  # mask of dynamic bodies among those that are ever dynamic (N,)
     joints: Joints  # intact joints
@@ -59,8 +59,8 @@ class BodyPhase:
         )
 
 
-class BodyPhases:
-    """Phases of a system, each built on first use.
+class ActiveSets:
+    """Active sets of a rigid system, each built on first use.
 
     Args:
         bodies: Bodies after all releases.
@@ -80,36 +80,36 @@ class BodyPhases:
         self._colliders, self._stage_colliders = colliders, stage_colliders
         release_times = bodies.release_times[bodies.dynamic_indices]
         self._release_times = release_times
-        self._phase_starts = np.unique(release_times[np.isfinite(release_times)])
-        self._phases: dict[tuple[int, bytes], BodyPhase] = {}
+        self._set_starts = np.unique(release_times[np.isfinite(release_times)])
+        self._active_sets: dict[tuple[int, bytes], ActiveSet] = {}
 
     @property
     def last_index(self) -> int:
-        """Index of the phase after all releases."""
-        return len(self._phase_starts)
+        """Index of the set after all releases."""
+        return len(self._set_starts)
 
-    def phase_index(self, t: float, dt: float) -> int:
-        """Return the index of the phase of a step that starts at a time [s]."""
+    def set_index(self, t: float, dt: float) -> int:
+        """Return the index of the set in a step that starts at a time [s]."""
         time = t + RELEASE_TOLERANCE * dt
-        return int(np.searchsorted(self._phase_starts, time, side="right"))
+        return int(np.searchsorted(self._set_starts, time, side="right"))
 
     def is_free(self, t: float, dt: float) -> BoolArray:
         """Return a mask of bodies that are dynamic in a step at a time [s] ``(N,)``."""
         is_free: BoolArray = self._release_times <= t + RELEASE_TOLERANCE * dt
         return is_free
 
-    def phase(self, index: int, is_broken: BoolArray) -> BodyPhase:
-        """Return the bodies of a phase, without the joints of a mask ``(K,)``."""
+    def active_set(self, index: int, is_broken: BoolArray) -> ActiveSet:
+        """Return the set of an index, without the broken joints of a mask ``(K,)``."""
         key = index, is_broken.tobytes()
-        if key not in self._phases:
-            if len(self._phases) > 1:
-                self._phases.pop(next(iter(self._phases)))
-            self._phases[key] = self._build_phase(index, is_broken)
-        return self._phases[key]
+        if key not in self._active_sets:
+            if len(self._active_sets) > 1:
+                self._active_sets.pop(next(iter(self._active_sets)))
+            self._active_sets[key] = self._build_set(index, is_broken)
+        return self._active_sets[key]
 
-    def _build_phase(self, index: int, is_broken: BoolArray) -> BodyPhase:
-        """Build a phase, without the broken joints of a mask ``(K,)``."""
-        release_time = self._phase_starts[index - 1] if index else -np.inf
+    def _build_set(self, index: int, is_broken: BoolArray) -> ActiveSet:
+        """Build the set of an index, without the broken joints of a mask ``(K,)``."""
+        release_time = self._set_starts[index - 1] if index else -np.inf
         is_free = np.asarray(~(self._release_times > release_time), np.bool_)
         bodies = self._bodies
         if not is_free.all():
@@ -129,7 +129,7 @@ class BodyPhases:
         static_count = len(self._colliders)
         surroundings = StepColliders(colliders, static_count)
         shape_indices = self._shape_indices(bodies, len(colliders))
-        return BodyPhase(
+        return ActiveSet(
             index, bodies, is_free, joints, intact_joints, surroundings, shape_indices
         )
 

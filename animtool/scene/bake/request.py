@@ -90,7 +90,7 @@ class OutputEntry:
 
 
 @dataclass(frozen=True, slots=True)
-class Outline:
+class BakeRequest:
     """The sources and requested outputs of a bake, before anything is read."""
 
     source_set: SourceSet
@@ -104,7 +104,7 @@ class Outline:
         return scenes.get(files[0]) if len(files) == 1 else None
 
     @property
-    def with_overwrite(self) -> Outline:
+    def with_overwrite(self) -> BakeRequest:
         """A copy that overwrites existing files."""
         outputs = (
             replace(entry, options=replace(entry.options, overwrite=True))
@@ -118,15 +118,15 @@ class Outline:
         return [path for entry in self.outputs for path in entry.files]
 
 
-def create_outline(
+def create_request(
     sources: Source | Sequence[Source],
     output: Path | str | None,
     options: BakeOptions | None = None,
     *,
     base: Path | None = None,
     rig_file: Path | None = None,
-) -> Outline:
-    """Return the outline of a bake from sources and options, unchecked.
+) -> BakeRequest:
+    """Return the request of a bake from sources and options, unchecked.
 
     Args:
         sources: Files, scenes or open takes to read.
@@ -152,7 +152,7 @@ def create_outline(
             options = replace(options, form=None)
     if len(sources_to_read.files) != 1 or not scenes:
         entry = OutputEntry(path, options, base=base, rig_file=rig_file)
-        return Outline(sources_to_read, (entry,), notices)
+        return BakeRequest(sources_to_read, (entry,), notices)
     (scene,) = scenes
     entries = scene.outputs if output is None else scene.outputs[:1]
     outputs = tuple(
@@ -164,7 +164,7 @@ def create_outline(
         )
         for entry in entries
     )
-    return Outline(sources_to_read, outputs, notices)
+    return BakeRequest(sources_to_read, outputs, notices)
 
 
 def _holds_all_takes(path: Path, options: BakeOptions) -> bool:
@@ -181,14 +181,14 @@ def has_several_outputs(scene: Scene) -> bool:
     return len(scene.outputs) > 1 or (path is not None and not writes_stage(path))
 
 
-def check_outline(outline: Outline) -> None:
+def check_request(request: BakeRequest) -> None:
     """Check all outputs before anything is read; raise all faults together."""
-    source_set, has_several = outline.source_set, len(outline.outputs) > 1
-    _check_count(len(source_set.files), outline.outputs[0].options)
-    faults = duplicate_outputs(outline)
+    source_set, has_several = request.source_set, len(request.outputs) > 1
+    _check_count(len(source_set.files), request.outputs[0].options)
+    faults = duplicate_outputs(request)
     # Errors are not stored, since their tracebacks would keep layers open.
     error_types: list[type[AnimtoolError]] = []
-    for entry in outline.outputs:
+    for entry in request.outputs:
         if has_several and entry.path == STDOUT:
             raise OptionError(entry.locate(Fault("DOC021", "an output has no file")))
         try:
@@ -199,23 +199,23 @@ def check_outline(outline: Outline) -> None:
     try:
         scenes = source_set.scenes.values()
         extra_outputs = [path for scene in scenes for path in scene.extra_outputs]
-        inputs = [*source_set.inputs, *outline.files]
-        overwrite = outline.outputs[0].options.overwrite
+        inputs = [*source_set.inputs, *request.files]
+        overwrite = request.outputs[0].options.overwrite
         check_outputs(extra_outputs, inputs, overwrite=overwrite)
     except AnimtoolError as error:
         faults += error.faults
         error_types.append(type(error))
     if faults:
         raise (error_types or [OptionError])[0](faults)
-    _check_systems(outline)
+    _check_systems(request)
 
 
-def duplicate_outputs(outline: Outline) -> list[Fault]:
+def duplicate_outputs(request: BakeRequest) -> list[Fault]:
     """Return a fault for each scene output that repeats a file (OUT007)."""
     entry_by_file: dict[str, OutputEntry] = {}
     faults = []
-    for entry in outline.outputs:
-        for path in entry.files if len(outline.outputs) > 1 else ():
+    for entry in request.outputs:
+        for path in entry.files if len(request.outputs) > 1 else ():
             first_entry = entry_by_file.setdefault(
                 name_key(output_target(path).final_path), entry
             )
@@ -292,11 +292,11 @@ def _check_count(count: int, options: BakeOptions) -> None:
         raise OptionError(Fault("CLI002", message))
 
 
-def _check_systems(outline: Outline) -> None:
+def _check_systems(request: BakeRequest) -> None:
     """Raise an error if a scene in a clip library writes systems (SCN062)."""
-    if len(outline.source_set.files) == 1:
+    if len(request.source_set.files) == 1:
         return
-    for scene in outline.source_set.scenes.values():
+    for scene in request.source_set.scenes.values():
         if scene.for_output(scene.outputs[0]).systems:
             message = "a simulation is not a take of a library"
             raise OptionError(Fault("SCN062", message, str(scene.path)))
