@@ -36,7 +36,7 @@ MAX_LISTED_JOINTS = 8
 ROBOT_SIZES = (0.3, 10.0)
 # If no shape is longer than this fraction of a robot [1], its positions are in another
 # unit than its shapes.
-MIN_SHAPE_FRACTION = 0.005
+MIN_SHAPE_FRACTION = 0.03
 # Longest name in rig files.
 MAX_NAME_LENGTH = 4000
 # Arbitrary: one frame has no rate.
