@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Literal, NamedTuple
 
 from annotated_types import Len
 from pydantic import Field
 
+from animtool.core.errors import counted
 from animtool.core.names import name_hint
 from animtool.core.options import key
 from animtool.core.record import dataclass
 from animtool.documents.check import FileModel, validate_file
-from animtool.documents.document import Document, read_document
+from animtool.documents.document import Document, Location, read_document
 from animtool.documents.fields import IgnoreModel, Name, Real
 from animtool.retarget.map import TwistFraction
 from animtool.retarget.names import strip_common_prefix
@@ -233,12 +235,17 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
     joints_by_name = {side: _joints_by_name(rig) for side, rig in rigs.items()}
     _refuse_swapped_map(file, rigs, joints_by_name)
 
+    prefixed_names: dict[str, list[tuple[str, Location]]] = {side: [] for side in rigs}
+
     def joint_indices(
         side: str, names: Sequence[str], *location: str | int
     ) -> tuple[int, ...]:
         """Return the indices of joints by name; record unknown ones."""
         for i, name in enumerate(names):
             if name not in joints_by_name[side]:
+                if name.rpartition(":")[2] in joints_by_name[side]:
+                    prefixed_names[side].append((name, (*location, i)))
+                    continue
                 message = f"the {side} {rigs[side].name!r} has no joint {name!r}"
                 other_side = "target" if side == "source" else "source"
                 hint = name_hint(name, joints_by_name[side])
@@ -271,6 +278,9 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
         frozenset(joint_indices(side, getattr(model.ignored, side), "ignored", side))
         for side in rigs
     ]
+    for side, prefixed in prefixed_names.items():
+        if prefixed:
+            _add_prefix_fault(document, rigs[side], side, prefixed)
     _check_distinct_joints(document, entries, target)
     document.check()
     return ResolvedMap(
@@ -279,6 +289,20 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
         (ignored[0], ignored[1]),
         model.others == "none",
     )
+
+
+def _add_prefix_fault(
+    document: Document, rig: Rig, side: str, names: Sequence[tuple[str, Location]]
+) -> None:
+    """Record one fault for names with a namespace that their skeleton does not have."""
+    (first, location), count = names[0], len(names)
+    prefix, colon, bare_name = first.rpartition(":")
+    message = f"the {side} {rig.name!r} has no joint {first!r}"
+    message += f", nor {counted(count - 1, 'other name')} like it" if count > 1 else ""
+    hint = f"leave out the namespace {prefix + colon!r}: write {bare_name!r}"
+    fault = document.fault("MAP001", location, message, hint)
+    lines = tuple(document.position(where)[0] for _, where in names)
+    document.faults.append(replace(fault, lines=tuple(dict.fromkeys(lines))))
 
 
 def _check_distinct_joints(

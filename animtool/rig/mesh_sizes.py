@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from animtool.core.errors import Fault, warning
-from animtool.rig.kinematics import rest_size
 from animtool.rig.skeleton import Rig
-from animtool.rig.surfaces import Surface
+
+if TYPE_CHECKING:
+    from animtool.rig.surfaces import Surface
 
 # Ratio of the sizes of a mesh and its skeleton that no character has [1].
 MAX_SIZE_RATIO = 30.0
@@ -45,6 +47,8 @@ def mesh_size_texts(
 
 def mesh_size_warnings(rig: Rig, surfaces: Sequence[Surface]) -> list[Fault]:
     """Return a warning if a skinned mesh of a rig is in another unit (RIG218)."""
+    from animtool.rig.kinematics import rest_size  # loads the kernels
+
     if len(rig.joints) < MIN_SKELETON_JOINTS:
         return []
     sizes = {

@@ -313,6 +313,12 @@ def test_a_map_does_for_other_prefixes(tmp_path: Path) -> None:
             (3, 33),
             "allowed: shin_l,",
         ),
+        (
+            "{source: Hips, target: 'other:hips'}",
+            "MAP001",
+            (3, 26),
+            "leave out the namespace 'other:': write 'hips'",
+        ),
         ("{source: Hips, target: [hips, hips]}", "MAP002", (3, 33), "remove one"),
         ("{source: Hips, target: hips, role: hip}", "MAP005", (3, 38), "'hips'"),
         ("{source: Hips, target: []}", "DOC022", (3, 26), ""),

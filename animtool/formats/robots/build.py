@@ -34,6 +34,9 @@ from animtool.rig.suspicious_shape import rest_pose_without_kernels
 MAX_LISTED_JOINTS = 8
 # Sizes of most robots [m].
 ROBOT_SIZES = (0.3, 10.0)
+# If no shape is longer than this fraction of a robot [1], its positions are in another
+# unit than its shapes.
+MIN_SHAPE_FRACTION = 0.03
 # Longest name in rig files.
 MAX_NAME_LENGTH = 4000
 # Arbitrary: one frame has no rate.
@@ -97,7 +100,7 @@ def build_rig(robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes) -> R
     if largest_error:
         _note_approximate_colliders(robot, diagnostics, codes, largest_error)
     meshes = _build_link_meshes(robot, joint_names, joints)
-    _warn_of_size(diagnostics, joints)
+    _warn_of_size(diagnostics, joints, colliders)
     if diagnostics.ignored_labels:
         message = f"not read: {listed(list(diagnostics.ignored_labels), 20)}"
         diagnostics.add(codes.ignored_code, None, message, severity=Severity.NOTE)
@@ -113,17 +116,24 @@ def build_rig(robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes) -> R
     )
 
 
-def _warn_of_size(diagnostics: XmlDiagnostics, joints: list[Joint]) -> None:
+def _warn_of_size(
+    diagnostics: XmlDiagnostics, joints: list[Joint], colliders: list[Collider]
+) -> None:
     """Warn about a size that suggests another unit than metres (RIG217)."""
     positions, _ = rest_pose_without_kernels(Rig("", tuple(joints)))
     size = float(np.linalg.norm(np.ptp(positions, axis=0)))
     if size <= MAX_RIG_SIZE:
         return
     message = f"the robot measures {length_text(size)}, with lengths in m"
-    hint = "check the positions"
+    hint, divided = "check the positions", "all lengths"
+    capsules = [collider.capsule for collider in colliders]
+    shape_size = max((2 * c.radius + c.length for c in capsules), default=size)
+    if shape_size < MIN_SHAPE_FRACTION * size:
+        message += f", but its shapes at most {length_text(shape_size)}"
+        divided = "the xyz of joint origins"
     for unit in (LengthUnit.CM, LengthUnit.MM):
         if ROBOT_SIZES[0] <= size * unit.meters <= ROBOT_SIZES[1]:
-            hint = f"if they are in {unit}, divide all lengths by {1 / unit.meters:g}: "
+            hint = f"if they are in {unit}, divide {divided} by {1 / unit.meters:g}: "
             hint += length_text(size * unit.meters)
     diagnostics.add("RIG217", None, message, hint, severity=Severity.WARNING)
 

@@ -441,8 +441,8 @@ def _is_upside_down(rig_face: FaceModel, pixels: FloatArray, up: FloatArray) -> 
     ``pixels`` are ``(F, N, 2)``, with v from the upper edge.
     """
     rows = pixels[..., 1]
-    has_landmarks = np.isfinite(rows).all(axis=1)
-    if not has_landmarks.any():
+    is_visible = np.isfinite(rows).all(axis=1)
+    if not is_visible.any():
         return False
-    rows, heights = rows[has_landmarks].mean(axis=0), rig_face.neutral @ up
+    rows, heights = rows[is_visible].mean(axis=0), rig_face.neutral @ up
     return float((rows - rows.mean()) @ (heights - heights.mean())) > 0.0

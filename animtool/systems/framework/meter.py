@@ -94,6 +94,9 @@ class ContactMeter:
 
     uses_seconds: bool = False  # whether frames are times in [s], as for systems
     start: float | None = None  # first measured time of a system [s]
+    start_depth: float = 0.0  # largest depth of a system at that time [m]
+    # Height by which a system has to be raised to start outside [m]; 0 if unknown.
+    start_lift: float = 0.0
     # Largest depth in a skin or a collider [m].
     depth: PeakValue = field(default_factory=PeakValue)
     # Largest number of intersecting edge-triangle pairs, with itself and with skins.
@@ -133,6 +136,8 @@ class ContactMeter:
         if len(free_particles):
             deepest_particle = int(free_particles[max_depths[free_particles].argmax()])
             depth = float(max_depths[deepest_particle])
+            if frame == self.start:
+                self.start_depth = depth
             self.depth = self._larger_peak(
                 self.depth, depth, frame, points, deepest_particle
             )
@@ -194,6 +199,11 @@ class ContactMeter:
             phrases.append(f"largest strain {strain_text} ({self.strain.text})")
         return ", ".join(phrases)
 
+    @property
+    def starts_inside(self) -> bool:
+        """Whether a system starts too deep in a collider to be pushed out gently."""
+        return self.uses_seconds and self.start_depth > MAX_START_DEPTH
+
     def notices(self, label: str) -> list[Fault]:
         """Return warnings of visible depth, intersections and strain (SIM180-182)."""
         notices, remedy = [], "a shorter step" if self.uses_seconds else "a higher rate"
@@ -202,10 +212,14 @@ class ContactMeter:
             message = f"{label} is {depth_text} deep in what it touches "
             message += f"({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
-            starts_inside = self.uses_seconds and self.depth.time == self.start
-            if starts_inside and self.depth.value > MAX_START_DEPTH:
-                hint = "it starts inside: move it out"
+            if self.starts_inside:
+                hint = f"it starts {length_text(self.start_depth, 2)} inside: "
+                hint += "move it out"
+                if self.start_lift:
+                    hint += f", up by {length_text(self.start_lift, 2)} or more"
             notices.append(warning("SIM180", message, hint))
+        if self.starts_inside:
+            return notices  # the others result from it
         if self.pierced.value:
             pairs_text = counted(int(self.pierced.value), "pair")
             message = f"{pairs_text} of edges and triangles of {label} and what it "

@@ -23,6 +23,7 @@ from animtool.systems.framework.meter import (
     MeasuredSurface,
     closed_surfaces,
     collider_depths,
+    surface_depths,
 )
 from animtool.systems.framework.simulation import Diagnostics
 from animtool.systems.framework.spec import JoinedEntry
@@ -33,6 +34,12 @@ from animtool.systems.springs.simulation import SpringSimulation
 
 # Intersection checks per motion; each costs as much as several steps.
 CHECKS_PER_MOTION = 12
+# Lifts that are tried to bring a start out of colliders, in its depth [1].
+LIFT_STEP, MAX_LIFT_STEPS = 0.125, 40
+# Warnings that result from a start inside colliders.
+START_DEPTH_CODES = frozenset(
+    {"SIM123", "SIM131", "SIM144", "SIM161", "SIM165", "SIM167"}
+)
 # Most colliders named in a warning.
 MAX_NAMED = 3
 
@@ -231,7 +238,26 @@ class SpringView:
             )
         solids = closed_surfaces(colliders, t)
         depths = collider_depths(colliders, points, t)
+        is_start = self._meter.start is None
         self._meter.measure(t, points, self._measured_surface, solids, depths)
+        if is_start and self._meter.starts_inside:
+            free_points = points[self._measured_surface.free_particles]
+            self._meter.start_lift = self._lift_from_colliders(free_points, t)
+
+    def _lift_from_colliders(self, points: FloatArray, t: float) -> float:
+        """Return the smallest lift that brings points out of colliders [m]; else 0."""
+        system, depth = self.simulation.system, self._meter.start_depth
+        gravity = float(np.linalg.norm(system.gravity))
+        if not gravity:
+            return 0.0
+        solids = closed_surfaces(system.colliders, t)
+        for lift in depth * LIFT_STEP * np.arange(1, MAX_LIFT_STEPS + 1):
+            lifted = points - system.gravity * (lift / gravity)
+            depths = [collider_depths(system.colliders, lifted, t)]
+            depths += [surface_depths(solid, lifted) for solid in solids]
+            if float(np.max(depths)) <= 0.0:
+                return float(lift + system.radius)
+        return 0.0
 
     def _crossing_notices(self) -> list[Fault]:
         """Return warnings of self-intersection and thin colliders (SIM194, SIM195)."""
@@ -309,8 +335,15 @@ class SpringView:
             *self._meter.notices(name),
         ]
         if self.is_first:
-            notices += simulation.notices
-            notices += simulation.strain_notices(f"{name}: ")
+            if any(view._meter.starts_inside for view in simulation.views):
+                notices += [
+                    notice
+                    for notice in simulation.notices
+                    if notice.code not in START_DEPTH_CODES
+                ]
+            else:
+                notices += simulation.notices
+                notices += simulation.strain_notices(f"{name}: ")
             notices.append(self._note(int(state.torn.sum())))
         return Diagnostics(values=values, notices=notices)
 

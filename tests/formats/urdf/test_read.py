@@ -346,7 +346,11 @@ def test_a_robot_in_millimetres(tmp_path: Path, factor: int, found: bool) -> Non
         return f'<origin xyz="{" ".join(numbers)}"'
 
     text = re.sub('<origin xyz="([^"]*)"', scaled, ARM)
-    assert ("RIG217" in codes(write(tmp_path, text))) is found
+    path = write(tmp_path, text)
+    assert ("RIG217" in codes(path)) is found
+    hints = [n.hint or "" for n in read_urdf_rig(path).notices if n.code == "RIG217"]
+    # Shapes keep their size.
+    assert all("the xyz of joint origins" in hint for hint in hints)
 
 
 def test_a_mesh_under_another_package_name_is_named(tmp_path: Path) -> None:
