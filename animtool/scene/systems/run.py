@@ -77,7 +77,7 @@ MAX_STEP_COUNT = 10_000_000
 MAX_ADAPTIVE_STEP = 1 / 240
 
 # Scenes have numbers within this power of ten, in SI units.
-MAX_TYPICAL_EXPONENT = 9.0
+MAX_PLAUSIBLE_EXPONENT = 9.0
 
 
 class SystemRun:
@@ -311,7 +311,9 @@ def _unusual_number_hint(system: SceneSystem) -> list[str]:
     ]
     exponent, name, size = max(exponents, default=(0.0, "", 0.0))
     return (
-        [f"check the unit of {name}: {size:g}"] if exponent > MAX_TYPICAL_EXPONENT else []
+        [f"check the unit of {name}: {size:g}"]
+        if exponent > MAX_PLAUSIBLE_EXPONENT
+        else []
     )
 
 
