@@ -185,7 +185,7 @@ def _early_frame_fault(
     message = f"its state starts at frame {saved_frame}, but frame {float(first):g} "
     message += "is requested"
     request = f"frames from {saved_frame} on"
-    if last is not None:
+    if last is not None and saved_frame <= last:
         request = argument("frame_range", f"{saved_frame}-{float(last):g}")
     hint = f"request {request}, or remove resume to simulate from frame "
     hint += f"{float(first):g}"

@@ -106,6 +106,10 @@ def test_frames_before_the_state_are_refused(tmp_path: Path) -> None:
     assert animtool("bake", tmp_path / "two.scene.yaml", "--plan").stderr == done.stderr
     (found,) = validate(tmp_path / "two.scene.yaml")
     assert (found.code, found.where) == ("SIM035", "systems[0].flocks.resume")
+    # No range of the scene's frames begins at the state.
+    done = bake(tmp_path, "three", "resume: half.npz", "--range", "1-6")
+    assert (done.code, "SIM035" in done.stderr) == (3, True)
+    assert "--range" not in done.stderr
 
 
 def test_a_state_between_frames_names_the_frame_that_was_asked_for(
