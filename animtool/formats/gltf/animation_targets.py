@@ -119,7 +119,7 @@ def _read_pointer_target(
         return None
     if not text.startswith("/"):
         pointer = extension.pointer_to("pointer") if extension else target.pointer
-        message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
+        message = f"{excerpt(text)} is not a JSON pointer; the channel is ignored"
         target.diagnostics.warn("GLT106", pointer, message)
         return None
     if match := _NODE_POINTER_PATTERN.fullmatch(text):

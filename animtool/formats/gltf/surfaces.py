@@ -62,10 +62,8 @@ def build_meshes(
             shapes.append(Shape(next(next_names), mesh.name, deltas, normals))
     notices = []
     if empty_mesh_names:
-        message = (
-            f"{counted(len(empty_mesh_names), 'mesh', 'meshes')} with only points or "
-        )
-        message += f"lines, or with no geometry, skipped: {listed(empty_mesh_names)}"
+        count = counted(len(empty_mesh_names), "mesh", "meshes")
+        message = f"skipped {count} without faces: {listed(empty_mesh_names)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(shape_keys), notices
 
