@@ -45,10 +45,8 @@ def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list
     for i, children in enumerate(child_lists):
         for child_number, child in enumerate(children):
             if child == i:
-                message, hint = (
-                    f"node {i} is its own child",
-                    "remove it from its children",
-                )
+                message = f"node {i} is its own child"
+                hint = "remove it from its children"
                 items[i].diagnostics.fail("GLT009", items[i].pointer, message, hint)
             if parents[child] >= 0:
                 message = f"node {child} has two parents, {parents[child]} and {i}"

@@ -195,7 +195,7 @@ def _warn_of_equal_binds(gltf: Gltf, skin_index: int, blended_count: int) -> Non
     message += f"joints are up to {length_text(float(max(offsets)))} from their "
     message += f"parents, and {counted(blended_count, 'point')} "
     message += "follows" if blended_count == 1 else "follow"
-    message += " several of them: the mesh tears"
+    message += " several of them, so the mesh tears"
     hint = "export it again with the inverse bind matrices of the bind pose"
     gltf.diagnostics.warn(
         "GLT119", f"{skin.location}/inverseBindMatrices", message, hint

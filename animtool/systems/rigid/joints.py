@@ -409,7 +409,7 @@ def _distance_warnings(
     if distance <= MAX_DISTANCE_RADII * kind.bounding_radius:
         return []
     message = f"{name} is {distance:g} m from {bodies.names[body]!r}, which extends "
-    hint = f"give `at` in world space, where {bodies.names[body]!r} is at "
-    hint += vector_text(pose[:3])
+    hint = "correct `at`, which is not in the frame of the body: in world space "
+    hint += f"{bodies.names[body]!r} is at {vector_text(pose[:3])}"
     message += f"{kind.bounding_radius:g} m from its centre of mass"
     return [warning("SIM127", message, hint, f"{location}.at")]

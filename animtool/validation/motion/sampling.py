@@ -77,11 +77,11 @@ def range_without_samples(subject: MotionSubject) -> Iterator[Fault]:
     if range_start > last_code or range_end < first_code or not (is_early or is_late):
         return
     message = (
-        f"the range is {span_label(range_start, range_end)}, but the samples are at "
-        f"{span_label(first_code, last_code)}: the pose is constant for "
+        f"the range is {span_label(range_start, range_end)}, but the samples run from "
+        f"{span_label(first_code, last_code)}, so the pose is constant for "
         f"{max(lead, tail):g} time codes"
     )
-    hint = "let the range be that of the samples, and a glTF begin at time 0"
+    hint = "set the range to that of the samples, or export a glTF from time 0"
     yield subject.fault("MOT217", None, 0, message, hint)
 
 
@@ -406,8 +406,8 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
         actual_rate = rate * (1.0 - float(is_repeat.mean()))
         message = (
             f"{np.count_nonzero(is_repeat)} of {subject.frame_count} frames repeat the "
-            f"previous one: the motion has about {actual_rate:.3g} frames per second, "
-            f"the take {rate:g}"
+            f"previous one, so the motion has about {actual_rate:.3g} frames per "
+            f"second, but the take has {rate:g}"
         )
         hint = "export it at its recording rate"
         first_frame = int(np.flatnonzero(is_repeat)[0])

@@ -136,7 +136,7 @@ def mismatched_units(subject: MotionSubject) -> Iterator[Fault]:
     if unit_factor is not None:
         message = (
             f"the bones are {factor_text(unit_factor)} as long as those of the rig at "
-            "rest: the animation uses another unit"
+            "rest, so the animation probably uses another unit"
         )
         hint = "convert the animation, or set metersPerUnit of its layer"
         yield subject.fault("MOT213", None, 0, message, hint)

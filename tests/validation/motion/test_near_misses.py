@@ -357,4 +357,4 @@ def test_eyes_and_ends_need_no_weights(walking: Take) -> None:
         bound = replace(seen, influencing_joints=frozenset({"hips"}))
         faults = list(joints_without_influence(bound))
         assert len(faults) == bool(found)
-        assert all(f"{found} joints of" in fault.message for fault in faults)
+        assert all(f"{found} of " in fault.message for fault in faults)
