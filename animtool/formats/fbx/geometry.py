@@ -166,7 +166,7 @@ def _add_skin(
             if method == "Blend":
                 message = f"{name!r} blends linear and dual quaternion skinning, but "
                 message += "is read as linear"
-            hint = "twisted joints may lose volume; use one of the two methods alone"
+            hint = "twisted joints may lose volume; use only linear or dual quaternion"
             diagnostics.warn("FBX108", skin.element.location, message, hint)
 
 

@@ -67,7 +67,8 @@ class JsonItem:
         value = self.values[key]
         if _is_integer(value):
             return int(value)
-        kind, hint = "", None
+        kind = ""
+        hint: str | None = None
         if isinstance(value, str):
             kind = "the text "
             hint = "write it without quotes" if value.strip("-").isdecimal() else None

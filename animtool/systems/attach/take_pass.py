@@ -161,8 +161,8 @@ def _summary_notice(actor: AttachmentActor) -> Fault:
         phrases.append(actor.meter.text)
     if actor.teleport_count:
         teleports = counted(actor.teleport_count, "teleport")
-        phrases.append(f"moved with the character over {teleports}")
-    return Fault("SIM130", ", ".join(phrases), severity=Severity.NOTE)
+        phrases.append(f"it was moved with the character over {teleports}")
+    return Fault("SIM130", "; ".join(phrases), severity=Severity.NOTE)
 
 
 def _start_notices(actor: AttachmentActor) -> list[Fault]:

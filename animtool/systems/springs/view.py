@@ -363,5 +363,5 @@ class SpringView:
         if self._meter.text:
             phrases.append(self._meter.text)
         message = f"{self.member.name} uses {simulation.choice.solver} "
-        message += f"({simulation.choice.reason}); {', '.join(phrases)}"
+        message += f"({simulation.choice.reason}); {'; '.join(phrases)}"
         return Fault("SIM130", message, severity=Severity.NOTE)
