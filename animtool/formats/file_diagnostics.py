@@ -17,6 +17,7 @@ class FileDiagnostics:
     """Warnings and notes gathered while a file is read."""
 
     path: str
+    remedy: str | None = None  # hint of errors without their own
     notices: list[Fault] = field(default_factory=list)
     warning_counts: dict[str, int] = field(default_factory=dict)  # by code
     # Code, location and message of each warning, to report it once.
@@ -26,6 +27,7 @@ class FileDiagnostics:
         self, code: str, location: str, message: str, hint: str | None = None
     ) -> NoReturn:
         """Raise a `FormatError` at a location in the file."""
+        hint = hint or self.remedy
         raise FormatError(Fault(code, message, self.path, (), hint, where=location))
 
     def warn(

@@ -250,9 +250,9 @@ def resolve_map(file: MapFile, source: Rig, target: Rig) -> ResolvedMap:
                 other_side = "target" if side == "source" else "source"
                 hint = name_hint(name, joints_by_name[side])
                 if name in joints_by_name[other_side]:
-                    hint = (
-                        f"it is a joint of the {other_side} {rigs[other_side].name!r}"
-                    )
+                    other_name = rigs[other_side].name
+                    hint = f"the {other_side} {other_name!r} has this joint; swap "
+                    hint += "source and target"
                 document.add("MAP001", (*location, i), message, hint)
         return tuple(
             joints_by_name[side][n] for n in names if n in joints_by_name[side]

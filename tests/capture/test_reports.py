@@ -374,7 +374,7 @@ def test_what_is_said_of_landmarks_that_do_not_fit() -> None:
     shares[:5, 0] = shares[:6, 1] = 0.49
     found = _notices(own, seen, usable, poor, shares, None)
     assert [f.code for f in found] == ["FAC103", "FAC104", "FAC105", "FAC105"]
-    assert found[0].message.startswith("1 frame with fewer than 4 landmarks")
+    assert found[0].message.startswith("1 frame has fewer than 4 landmarks")
     assert found[1].message.startswith("2 frames")
     assert "1 landmark is never seen: e" in found[2].message
     assert "1 landmark does not match the face in most frames: b" in found[3].message

@@ -230,7 +230,7 @@ def test_a_size_that_fits_another_unit(walk: Path, tmp_path: Path) -> None:
         done = animtool(*command, "--units", "m")
         assert done.code == 0
         assert (
-            "is not plausible for a character in m; with --units cm it would be"
+            " m, which is not plausible for a character; --units cm would make it"
             in done.stderr
         )
     text = walk.read_text().splitlines()

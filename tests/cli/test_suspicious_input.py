@@ -224,7 +224,7 @@ def test_a_unit_that_makes_a_giant(tmp_path: Path) -> None:
     command = ("mocap", "clean", WALK, "-o", tmp_path / "a.usdc", "--units", "m")
     (line,) = warnings(*command)
     assert "RIG217" in line
-    assert "with --units cm it would be" in line
+    assert "--units cm would make it" in line
 
 
 @pytest.mark.parametrize(
@@ -268,7 +268,7 @@ def test_a_skeleton_in_decimetres(tmp_path: Path) -> None:
     """In no unit of --units is it a person."""
     for factor, words in (
         (0.1, "in decimetres it would be 2.1 m: export it in cm, at 10 times"),
-        (0.01, "with --units m it would be 2.1 m"),
+        (0.01, "--units m would make it 2.1 m"),
         (1e-4, "export it at its true size"),
         (1.0, None),
     ):

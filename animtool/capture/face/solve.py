@@ -372,14 +372,19 @@ def _notices(
     """
     notices = []
     for is_affected, code, problem in (
-        (~is_usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks: interpolated"),
+        (~is_usable, "FAC103", f"fewer than {MIN_LANDMARKS} landmarks"),
         (is_poor, "FAC104", "landmarks that are mostly outliers"),
     ):
         frames = np.flatnonzero(is_affected).tolist()
         if frames:
-            message = f"{counted(len(frames), 'frame')} with {problem}; from the "
-            message += f"first, frames {listed(frames, MAX_LISTED_FRAMES)}"
-            notices.append(Fault(code, message, severity=Severity.WARNING))
+            verb = "has" if len(frames) == 1 else "have"
+            message = f"{counted(len(frames), 'frame')} {verb} {problem}"
+            if code == "FAC103":
+                verb = "is" if len(frames) == 1 else "are"
+                message += f" and {verb} interpolated"
+            message += f": {listed(frames, MAX_LISTED_FRAMES)}"
+            hint = "track the face again in these frames"
+            notices.append(Fault(code, message, hint=hint, severity=Severity.WARNING))
     is_used = is_visible & is_usable[:, None]
     used_counts = is_used.sum(axis=0)
     misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)

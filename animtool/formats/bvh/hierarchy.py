@@ -257,8 +257,10 @@ class _HierarchyParser:
     def _missing_braces_hint(self) -> str | None:
         if not self.open_blocks:
             return None
-        label = self._block_label(self.open_blocks[-1])
-        return f"{len(self.open_blocks)} '}}' missing, the innermost for {label}"
+        label, count = self._block_label(self.open_blocks[-1]), len(self.open_blocks)
+        verb = "is" if count == 1 else "are"
+        hint = f"{counted(count, 'closing brace')} {verb} missing, the innermost for "
+        return f"{hint}{label}; copy or export the file again"
 
 
 def read_header(lines: HeaderLines, path: str) -> tuple[BvhHeader, list[Fault]]:

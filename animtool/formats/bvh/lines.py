@@ -309,10 +309,12 @@ class RowReader:
         declared_count, row_count = self.source.declared_frame_count, self._row_count
         if declared_count != row_count:
             line = self._first_surplus_line or self.source.frames_line
-            message = f"Frames states {declared_count}, but there are {row_count} rows"
-            hint = "all rows are read"
+            rows = counted(row_count, "row")
+            message = f"Frames is {declared_count}, but the file has {rows}, all of "
+            message += "which are read"
+            hint = f"if they are all wanted, write Frames: {row_count}"
             if declared_count > row_count:
-                hint += "; is the file truncated? copy or export it again"
+                hint = "is the file truncated? copy or export it again"
             self._warn("BVH101", message, [line], hint)
         self.notices += self._zero_rows.warnings(self._path)
         hint = "interpolated between neighbours"

@@ -111,12 +111,12 @@ def radians_warning(ranges: ChannelRanges, rig: Rig, path: str) -> list[Fault]:
     if not is_traveling and not (is_moving and max_angle <= np.pi):
         return []
     message = f"none of {moving_channel_count} rotation channels that change exceeds "
-    message += f"{max_angle:.3g}: the body hardly moves, unless they are radians"
+    message += f"{max_angle:.3g}, so the body hardly moves, unless they are radians"
     if is_traveling:
         message = (
             f"the body travels {length_text(ranges.travel)}, but none of "
             f"{moving_channel_count} rotation channels that change exceeds "
-            f"{max_angle:.3g}: the rotations look like radians"
+            f"{max_angle:.3g}, so the rotations look like radians"
         )
     hint = f"a BVH has degrees: {max_angle:.3g} rad is {np.degrees(max_angle):.3g}; "
     hint += "export degrees, or multiply the rotation channels by 57.2958"

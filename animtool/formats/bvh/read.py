@@ -141,8 +141,8 @@ def _size_notice(rig: Rig, stated_unit: LengthUnit | None, path: str) -> list[Fa
     if len(rig.joints) < MIN_BODY_JOINTS or smallest <= size <= largest:
         return []
     extent = size / rig.meters_per_unit
-    message = f"the skeleton spans {extent:.4g}, which is not plausible for a "
-    message += f"character in {stated_unit or LengthUnit.CM}"
+    message = f"the skeleton spans {extent:.4g} {stated_unit or LengthUnit.CM}, which "
+    message += "is not plausible for a character"
     severity = Severity.NOTE if stated_unit is None else Severity.WARNING
     return [Fault("RIG217", message, path, (), _unit_hint(extent), severity)]
 
@@ -157,7 +157,7 @@ def _unit_hint(extent: float) -> str:
         for unit in LengthUnit:
             if smallest <= extent * unit.meters <= largest:
                 option_text = argument("source.unit", unit)
-                return f"with {option_text} it would be {extent * unit.meters:.2g} m"
+                return f"{option_text} would make it {extent * unit.meters:.2g} m"
         # No option has decimetres, in which MakeHuman exports.
         if smallest <= extent * DECIMETRE <= largest:
             hint = f"in decimetres it would be {extent * DECIMETRE:.2g} m"
@@ -359,12 +359,12 @@ def _collapsed_bones_notice(
     names = [rig.names[j] for j in position_joints[is_collapsed].tolist()]
     longest_offset = offset_lengths[is_collapsed].max()
     message = (
-        f"the position channels of {counted(len(names), 'joint')} are 0 in all "
-        f"frames, but their OFFSETs reach {longest_offset:.4g}: the joints are at "
-        f"their parents, without a bone ({listed(names, MAX_LISTED_JOINTS)})"
+        f"the position channels of {counted(len(names), 'joint')} "
+        f"({listed(names, MAX_LISTED_JOINTS)}) are 0 in all frames, although their "
+        f"OFFSETs reach {longest_offset:.4g}; position channels replace OFFSETs, so "
+        "the bones have no length"
     )
-    hint = "position channels replace OFFSETs; "
-    hint += f"{argument('source.positions', 'offsets')} keeps the OFFSETs"
+    hint = f"to keep the OFFSETs, use {argument('source.positions', 'offsets')}"
     # If channels of other joints have values, the zeros may be intended as well.
     severity = (
         Severity.WARNING if is_collapsed.sum() == has_length.sum() else Severity.NOTE

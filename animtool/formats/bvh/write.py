@@ -244,9 +244,10 @@ def _scale_notices(take: Take) -> list[Fault]:
     names = [take.rig.names[j] for j in np.flatnonzero(has_scale)]
     if not names:
         return []
-    message = f"BVH has no scale: the scale of {len(names)} joints is lost "
-    message += f"({listed(names)})"
-    return [Fault("BVH108", message, severity=Severity.WARNING)]
+    message = f"BVH has no scale, so the scale of {counted(len(names), 'joint')} is "
+    message += f"lost ({listed(names)})"
+    hint = "write .usdc or .glb, which store scales"
+    return [Fault("BVH108", message, None, (), hint, Severity.WARNING)]
 
 
 def _shape_notices(take: Take) -> list[Fault]:
@@ -257,7 +258,9 @@ def _shape_notices(take: Take) -> list[Fault]:
     names = [take.rig.shapes[k].name for k in np.flatnonzero(has_weight)]
     if not names:
         return []
-    message = f"BVH has no shapes: the weights of {counted(len(names), 'shape')} are "
+    message = (
+        f"BVH has no shapes, so the weights of {counted(len(names), 'shape')} are "
+    )
     message += f"lost ({listed(names)})"
     hint = "write .usdc or .glb, which store them"
     return [Fault("BVH114", message, None, (), hint, Severity.WARNING)]

@@ -39,7 +39,7 @@ MIN_BATCH_VALUES = 12
 def read_binary(content: bytes, diagnostics: FileDiagnostics) -> tuple[int, Element]:
     """Return the version and the root of a binary FBX."""
     if len(content) < HEADER_BYTES:
-        message = f"the file has {len(content)} bytes: the header is cut off"
+        message = f"the file has {len(content)} bytes, so the header is cut off"
         diagnostics.fail(
             "FBX002", f"byte {len(content)}", message, "export the file again"
         )
@@ -97,7 +97,7 @@ class _RecordReader:
             message = f"a record ends at byte {record_end}, outside its parent"
             if record_end > len(self.content):
                 message = f"the file ends at byte {len(self.content)}, but a record "
-                message += f"goes on to byte {record_end}: it is cut off or damaged"
+                message += f"goes on to byte {record_end}; it is cut off or damaged"
             self._fail(offset, message)
         if values_bytes > record_end - values_start or value_count > values_bytes:
             message = f"{value_count} values of {values_bytes} bytes do not fit in "

@@ -140,7 +140,8 @@ def _add_skin(
         if deformer.subtype not in {"Skin", "BlendShape"}:
             noun = deformer.subtype or "deformer"
             message = f"{noun} {deformer.name!r} of {name!r} is not supported"
-            hint = "the mesh follows only its skin, shapes and node"
+            hint = "the mesh follows only its skin, shapes and node; bake the deformer "
+            hint += "into shapes, or export USD"
             diagnostics.warn("FBX107", deformer.element.location, message, hint)
     skins = [deformer for deformer in deformers if deformer.subtype == "Skin"]
     if len(skins) > 1:
@@ -160,9 +161,13 @@ def _add_skin(
         if method == "DualQuaternion":
             mesh.method = DUAL_QUATERNION_SKINNING
         elif method not in {"Linear", "Rigid", ""}:
-            message = f"skin of {name!r}: {method.lower()} of linear and dual "
-            message += "quaternion, read as linear"
-            diagnostics.warn("FBX108", skin.element.location, message)
+            message = f"the skinning method of {name!r} is {method[:40]!r}; it is "
+            message += "read as linear"
+            if method == "Blend":
+                message = f"{name!r} blends linear and dual quaternion skinning, but "
+                message += "is read as linear"
+            hint = "twisted joints may lose volume; use only linear or dual quaternion"
+            diagnostics.warn("FBX108", skin.element.location, message, hint)
 
 
 def _has_weights(file: FbxFile, skin: FbxObject) -> bool:

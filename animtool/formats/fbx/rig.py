@@ -147,9 +147,10 @@ def _moved_meshes_notice(scene: FbxScene, character: CharacterNodes) -> list[Fau
             moved_names.append(repr(scene.models[node].name))
     if not moved_names:
         return []
-    message = "skinned meshes follow only their bones, but their own nodes were moved "
-    message += f"after binding: {listed(moved_names, MAX_LISTED_MESHES)}"
-    hint = "as in Blender and glTF; Maya also moves them with their node"
+    message = "skinned meshes were moved by their nodes after binding: "
+    message += f"{listed(moved_names, MAX_LISTED_MESHES)}; this is ignored, as in "
+    message += "Blender and glTF, but Maya moves them"
+    hint = "freeze the transforms of the nodes, or bind the meshes again"
     path = str(scene.path)
     return [Fault("FBX117", message, path, (), hint, Severity.WARNING)]
 

@@ -170,11 +170,12 @@ def find_frame_range(
     value_count = count * max(values_per_frame, MIN_VALUES_PER_FRAME)
     if count > MAX_FRAME_COUNT or value_count > MAX_TAKE_VALUES:
         message = (
-            f"take {take.name!r}: {(end_ticks - start_ticks) / TICKS_PER_SECOND:.6g} s "
-            f"at {rate_label(rate)} are {count} frames of {values_per_frame} numbers, "
-            "above the limit"
+            f"take {take.name!r} lasts "
+            f"{(end_ticks - start_ticks) / TICKS_PER_SECOND:.6g} s, which is {count} "
+            f"frames at {rate_label(rate)}; the limit is "
+            f"{min(MAX_FRAME_COUNT, MAX_TAKE_VALUES * count // value_count)}"
         )
-        hint = f"lower the rate with {argument('source.fps')}"
+        hint = f"remove stray keys, or lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("FBX013", message, str(scene.path), (), hint, where=take.location)
         )

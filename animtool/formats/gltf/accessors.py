@@ -37,6 +37,7 @@ ELEMENT_WIDTHS = {
 # as accessors may share bytes. Zeros without stored bytes have a separate limit.
 MAX_NUMBERS, NUMBERS_PER_BYTE = 8_000_000, 4
 MAX_ZERO_NUMBERS = 8_000_000
+_LAYOUT_HINT = "other readers may refuse the file; export it again"
 
 AnyArray = npt.NDArray[Any]
 
@@ -199,7 +200,7 @@ class Accessors:
         rows = self._read_elements(index_view, offset, shape, sparse.index_dtype)
         indices = rows[:, 0].astype(np.int64)
         if (np.diff(indices) <= 0).any() or indices[-1] >= accessor.count:
-            message = f"sparse indices must ascend, below {accessor.count}"
+            message = f"sparse indices must ascend and be below {accessor.count}"
             self.diagnostics.fail("GLT006", f"{pointer}/indices", message)
         values = base.copy()
         shape = sparse.count, accessor.width
@@ -243,11 +244,15 @@ class Accessors:
         stride = item.size("byteStride", 0)
         available_bytes = self.buffers.size(buffer)
         if offset + length > available_bytes:
-            message = f"ends at byte {offset + length} of a buffer of {available_bytes}"
+            message = (
+                f"the bufferView ends at byte {offset + length}, but its buffer has "
+            )
+            message += f"only {available_bytes} bytes"
             self.diagnostics.fail("GLT008", item.pointer, message)
         if stride and (stride % 4 or not 4 <= stride <= 252):
             message = f"byteStride {stride} is not a multiple of 4 from 4 to 252"
-            self.diagnostics.warn("GLT105", item.pointer_to("byteStride"), message)
+            pointer = item.pointer_to("byteStride")
+            self.diagnostics.warn("GLT105", pointer, message, _LAYOUT_HINT)
         return BufferView(item, buffer, offset, length, stride)
 
     def _read_accessor(self, item: JsonItem) -> Accessor | None:
@@ -262,13 +267,13 @@ class Accessors:
             ("type", element_type in ELEMENT_WIDTHS),
         ):
             if not is_known:
-                message = f"unknown {key} {item.values[key]!r}: ignored"
+                message = f"unknown {key} {item.values[key]!r}; the accessor is ignored"
                 self.diagnostics.warn("GLT106", item.pointer_to(key), message)
                 return None
         view = item.index("bufferView", len(self.views), "bufferView")
         offset = item.size("byteOffset", 0)
         if view < 0 and "byteOffset" in item.values:
-            message = "the bufferView is missing"
+            message = "byteOffset has no effect without a bufferView"
             self.diagnostics.warn("GLT106", item.pointer_to("byteOffset"), message)
         accessor = Accessor(
             item,
@@ -292,8 +297,8 @@ class Accessors:
         view = self.views[accessor.view_index]
         if view is not None and view.stride:
             message = f"bufferView {accessor.view_index} has a byteStride, "
-            message += "and holds no vertices"
-            self.diagnostics.warn("GLT105", pointer, message)
+            message += "but holds no vertices"
+            self.diagnostics.warn("GLT105", pointer, message, _LAYOUT_HINT)
 
     def _check_inside(self, accessor: Accessor) -> None:
         """Raise if an accessor or its sparse values exceed their views (GLT008)."""
@@ -313,8 +318,9 @@ class Accessors:
             if end > view.length:
                 self._fail_beyond_view(accessor.pointer, end, view)
             if (view.offset + accessor.offset) % dtype.itemsize:
-                message = f"its bytes do not start at a multiple of {dtype.itemsize}"
-                self.diagnostics.warn("GLT105", accessor.pointer, message)
+                message = "the data does not start at a multiple of "
+                message += f"{dtype.itemsize} bytes"
+                self.diagnostics.warn("GLT105", accessor.pointer, message, _LAYOUT_HINT)
         sparse = accessor.sparse
         if sparse is None:
             return
@@ -330,7 +336,8 @@ class Accessors:
                 self._fail_beyond_view(pointer, end, sparse_view)
 
     def _fail_beyond_view(self, pointer: str, end: int, view: BufferView) -> NoReturn:
-        message = f"reads up to byte {end} of a bufferView of {view.length}"
+        message = f"the accessor reads up to byte {end}, but its bufferView has only "
+        message += f"{view.length} bytes"
         self.diagnostics.fail("GLT008", pointer, message)
 
     def _read_sparse(self, item: JsonItem, count: int) -> SparseValues | None:
@@ -339,7 +346,8 @@ class Accessors:
             return None
         sparse_count = sparse.size("count", minimum=1)
         if sparse_count > count:
-            sparse.fail("count", f"{sparse_count} sparse elements of {count}", "GLT008")
+            message = f"there are {sparse_count} sparse elements, but the accessor has "
+            sparse.fail("count", f"{message}only {count}", "GLT008")
         indices, values = (
             sparse.required_child("indices"),
             sparse.required_child("values"),
@@ -367,7 +375,7 @@ def _check_bound_lengths(accessor: Accessor) -> None:
         bounds = item.values[key]
         is_list = isinstance(bounds, list) and len(bounds) == accessor.width
         if not is_list or not {*map(type, bounds)} <= {int, float}:
-            message = f"{key} is not {accessor.width} numbers: it is ignored"
+            message = f"{key} must be {accessor.width} numbers; it is ignored"
             item.diagnostics.warn("GLT102", item.pointer_to(key), message)
 
 
@@ -390,5 +398,6 @@ def check_finite(values: AnyArray, accessor: Accessor) -> None:
     non_finite_indices = np.argwhere(~np.isfinite(values))
     if len(non_finite_indices):
         element, value = int(non_finite_indices[0, 0]), values[*non_finite_indices[0]]
-        message = f"element {element} is {value}, not finite"
-        accessor.item.diagnostics.fail("GLT010", accessor.pointer, message)
+        message = f"element {element} is {value}"
+        hint = "export the file again with finite numbers"
+        accessor.item.diagnostics.fail("GLT010", accessor.pointer, message, hint)

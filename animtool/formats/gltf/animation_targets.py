@@ -6,7 +6,7 @@ import re
 from collections.abc import Sequence
 from enum import StrEnum
 
-from animtool.core.errors import excerpt
+from animtool.core.errors import counted, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.gltf.json_items import JsonItem
@@ -65,7 +65,7 @@ def read_channel_target(
         return _read_pointer_target(target, nodes, meshes, ignored_targets)
     node = target.index("node", len(nodes), "node")
     if path not in {"translation", "rotation", "scale", "weights"}:
-        message = f"unknown path {excerpt(path)}: the channel is ignored"
+        message = f"unknown path {excerpt(path)}; the channel is ignored"
         target.diagnostics.warn("GLT106", target.pointer_to("path"), message)
         return None
     if node < 0:
@@ -86,8 +86,8 @@ def _build_node_target(
         mesh = nodes[node].mesh
         target_count = meshes[mesh].target_count if mesh >= 0 else 0
         if weight_index >= target_count or not target_count:
-            message = f"node {node} has {target_count} morph targets: the channel is "
-            message += "ignored"
+            targets = counted(target_count, "morph target")
+            message = f"the channel is ignored, because node {node} has {targets}"
             target.diagnostics.warn("GLT106", target.pointer, message)
             return None
         return _weights_target(node, -1, target_count, weight_index)
@@ -119,7 +119,7 @@ def _read_pointer_target(
         return None
     if not text.startswith("/"):
         pointer = extension.pointer_to("pointer") if extension else target.pointer
-        message = f"{excerpt(text)} is not a JSON pointer: the channel is ignored"
+        message = f"{excerpt(text)} is not a JSON pointer; the channel is ignored"
         target.diagnostics.warn("GLT106", pointer, message)
         return None
     if match := _NODE_POINTER_PATTERN.fullmatch(text):

@@ -11,7 +11,7 @@ import numpy as np
 
 from animtool import _kernels
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Severity, excerpt
+from animtool.core.errors import Severity, counted, excerpt
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import Node
 from animtool.formats.gltf.accessors import FLOAT_COMPONENT, Accessors, check_finite
@@ -239,9 +239,13 @@ def _read_animation(
             continue
         target_key = (target.node, target.mesh, str(target.path), target.weight_index)
         if target_key in pointers_by_target:
-            message = f"two channels of the animation move {target.path}"
+            message = (
+                f"two channels of the animation have the same target {target.path}"
+            )
             pointer = f"{pointers_by_target[target_key]}/target"
-            channel.diagnostics.fail("GLT012", pointer, message)
+            channel.diagnostics.fail(
+                "GLT012", pointer, message, "remove one of the channels"
+            )
         pointers_by_target[target_key] = channel.pointer
         tracks.append(_read_track(channel, target, samplers, index))
     if ignored_targets:
@@ -269,7 +273,9 @@ def _read_track(
     is_cubic = interpolation is SamplerInterpolation.CUBIC
     expected_count = len(times) * target.width * (3 if is_cubic else 1)
     if values.size != expected_count:
-        message = f"{values.size} numbers for {len(times)} keys of {target.width}"
+        message = (
+            f"there are {values.size} numbers for {len(times)} keys of {target.width}"
+        )
         if is_cubic:
             message += ", with a tangent before and after each"
         diagnostics.fail("GLT011", channel.pointer_to("sampler"), message)
@@ -281,10 +287,10 @@ def _read_track(
         has_times = samplers.accessors.has_data(input_accessor)
         times, key_rows = _sort_keys(times, key_rows, item, has_times=has_times)
     if is_cubic and len(times) == 1:
-        message = "a cubic spline has two keys at least: its one key is held"
+        message = "a cubic spline needs at least two keys; its only key is held"
         diagnostics.warn("GLT107", item.pointer_to("interpolation"), message)
     if times[0] < 0:
-        message = f"the first key is at {times[0]:.6g} s, before time 0: it is kept"
+        message = f"the first key is at {times[0]:.6g} s, before time 0; it is kept"
         diagnostics.warn("GLT107", item.pointer_to("input"), message)
     keys = key_rows[:, 1 if is_cubic else 0]
     return GltfTrack(
@@ -340,9 +346,9 @@ def _sort_keys(
     time_order = np.argsort(times, kind="stable")
     diagnostics, pointer = item.diagnostics, item.pointer_to("input")
     if (np.diff(times) < 0).any():
-        diagnostics.warn(
-            "GLT107", pointer, "times are out of order: the keys are sorted"
-        )
+        message = "key times are out of order; the keys are sorted"
+        hint = "export the file again if the motion looks wrong"
+        diagnostics.warn("GLT107", pointer, message, hint)
     times, key_rows = times[time_order], key_rows[time_order]
     duplicate_indices = np.flatnonzero(np.diff(times) == 0)
     if len(duplicate_indices):
@@ -351,9 +357,12 @@ def _sort_keys(
             if (key_rows[duplicate_indices] != next_rows).any():
                 duplicate_time = float(times[duplicate_indices[0]])
                 message = f"two keys at {duplicate_time:.6g} s have different values"
-                diagnostics.fail("GLT012", pointer, message)
-            message = f"{len(duplicate_indices)} equal keys with the time of another "
-            diagnostics.warn("GLT107", pointer, f"{message}are removed")
+                hint = "remove one of them, or move it to another time"
+                diagnostics.fail("GLT012", pointer, message, hint)
+            count = len(duplicate_indices)
+            message = f"{counted(count, 'duplicate key')} "
+            message += f"{'is' if count == 1 else 'are'} removed"
+            diagnostics.warn("GLT107", pointer, message)
         unique_indices = np.setdiff1d(np.arange(len(times)), duplicate_indices + 1)
         times, key_rows = times[unique_indices], key_rows[unique_indices]
     return times, key_rows
@@ -377,9 +386,11 @@ def _check_unit_length(
             float(squared_lengths.max()),
         )
     if min_square <= 0.0:
-        message = "a rotation key has length 0"
+        message = "a rotation key is a quaternion of length 0"
         samplers.items[index].diagnostics.fail("GLT010", accessor.pointer, message)
     if max(1.0 - min_square, max_square - 1.0) > 2 * tolerance:
-        message = f"rotation keys have lengths from {min_square**0.5:.6g} to "
-        message += f"{max_square**0.5:.6g}: they are normalised"
-        channel.diagnostics.warn("GLT103", channel.pointer_to("sampler"), message)
+        message = "rotation keys are not unit quaternions (lengths "
+        message += f"{min_square**0.5:.6g} to {max_square**0.5:.6g}); they are "
+        message += "normalised"
+        hint = "export the file again if the rotations look wrong"
+        channel.diagnostics.warn("GLT103", channel.pointer_to("sampler"), message, hint)

@@ -23,6 +23,7 @@ HEADER_BYTES, CHUNK_HEADER_BYTES = 12, 8
 _BOM = b"\xef\xbb\xbf"
 # Limit of JSON; larger files take minutes to parse.
 MAX_JSON_BYTES = 200_000_000
+_SURPLUS_HINT = "if data is missing, export the file again"
 _DATA_URI_PATTERN = re.compile(
     r"data:(?:[\w.+-]+/[\w.+-]+)?(?:;[\w-]+=[^;,]+)*(?:;base64)?"
 )
@@ -81,7 +82,7 @@ def _check_header(content: memoryview, diagnostics: FileDiagnostics) -> int:
         _fail_malformed(diagnostics, 8, message)
     if length < len(content):
         message = f"{len(content) - length} bytes after the end are ignored"
-        diagnostics.warn("GLT101", f"byte {length}", message)
+        diagnostics.warn("GLT101", f"byte {length}", message, _SURPLUS_HINT)
     return int(length)
 
 
@@ -101,7 +102,7 @@ def _read_chunks(
             _fail_malformed(
                 diagnostics,
                 offset,
-                f"a chunk of {chunk_bytes} bytes ends after the file",
+                f"a chunk of {chunk_bytes} bytes runs past the end of the file",
             )
         if offset == HEADER_BYTES and (chunk_type != JSON_CHUNK or not chunk_bytes):
             problem = "empty" if chunk_type == JSON_CHUNK else "not the JSON"
@@ -118,7 +119,7 @@ def _read_chunks(
             chunk_type == BIN_CHUNK
             and offset != HEADER_BYTES + CHUNK_HEADER_BYTES + len(chunks[JSON_CHUNK])
         ):
-            message = "the binary chunk is not the second one: it is read all the same"
+            message = "the binary chunk is not the second chunk; it is read anyway"
             diagnostics.warn("GLT101", f"byte {offset}", message)
         if chunk_type in {JSON_CHUNK, BIN_CHUNK}:
             chunks[chunk_type] = content[start : start + chunk_bytes]
@@ -130,7 +131,7 @@ def _parse_json(text: bytes, diagnostics: FileDiagnostics, *, is_glb: bool) -> J
     """Return the parsed JSON, which must be an object."""
     if len(text) > MAX_JSON_BYTES:
         message = f"the JSON has {len(text) / 1e6:.0f} MB; the limit is 200"
-        diagnostics.fail("GLT013", "", message)
+        diagnostics.fail("GLT013", "", message, "export less in one file")
     if text.startswith(_BOM):
         diagnostics.warn("GLT101", "", "a byte order mark before the JSON is ignored")
         text = text[len(_BOM) :]
@@ -143,8 +144,7 @@ def _parse_json(text: bytes, diagnostics: FileDiagnostics, *, is_glb: bool) -> J
     except (ValueError, RecursionError) as error:
         is_nested = isinstance(error, RecursionError)
         reason = "it is nested too deeply" if is_nested else str(error)
-        hint = None if is_nested else "export the file again"
-        diagnostics.fail("GLT001", "", f"the JSON cannot be read: {reason}", hint)
+        diagnostics.fail("GLT001", "", f"the JSON cannot be read: {reason}")
     if not isinstance(value, dict):
         diagnostics.fail("GLT001", "", "the JSON must be an object")
     return JsonItem(value, "", diagnostics)
@@ -165,7 +165,7 @@ def _syntax_fault(error: json.JSONDecodeError, path: str, *, is_glb: bool) -> Fa
 
 
 def _refuse_constant(name: str) -> Any:
-    raise ValueError(f"{name} is no JSON")
+    raise ValueError(f"{name} is not valid JSON")
 
 
 class Buffers:
@@ -230,7 +230,8 @@ class Buffers:
         reason = not_a_file_reason(path)
         if reason is not None:
             message = f"the file {uri!r} {reason}"
-            self.diagnostics.fail("GLT007", buffer.pointer_to("uri"), message)
+            hint = "put the file next to the glTF, or correct the uri"
+            self.diagnostics.fail("GLT007", buffer.pointer_to("uri"), message, hint)
         return path
 
     def _resolve_uri(self, uri: str, buffer: JsonItem) -> Path:
@@ -240,10 +241,10 @@ class Buffers:
             url = urlsplit(uri)
             name = unquote_to_bytes(url.path).decode("utf-8")
         except ValueError:
-            self.diagnostics.fail("GLT007", pointer, f"{excerpt(uri)} is no URI")
+            self.diagnostics.fail("GLT007", pointer, f"{excerpt(uri)} is not a URI")
         if url.scheme or url.netloc:
             message = f"{excerpt(uri)} is on another machine or uses another scheme"
-            hint = "animtool downloads nothing: put the file next to the glTF"
+            hint = "animtool downloads nothing; put the file next to the glTF"
             self.diagnostics.fail("GLT007", pointer, message, hint)
         if not name or "\0" in name or "\\" in name or url.query or url.fragment:
             self.diagnostics.fail(
@@ -257,10 +258,9 @@ class Buffers:
                 "GLT007", pointer, f"{excerpt(uri)} does not name a file"
             )
         if not path.is_relative_to(folder):
-            message = f"{excerpt(uri)} leads outside the folder of the file"
-            self.diagnostics.fail(
-                "GLT007", pointer, message, "put the file next to the glTF"
-            )
+            message = f"{excerpt(uri)} is outside the folder of the glTF"
+            hint = "put the buffer file next to the glTF, and correct the uri"
+            self.diagnostics.fail("GLT007", pointer, message, hint)
         return path
 
     def check_available(self, index: int) -> None:
@@ -278,8 +278,10 @@ class Buffers:
                     self.diagnostics.fail("GLT007", buffer.pointer, message)
                 if len(binary) > length + 3:
                     message = f"{len(binary) - length} bytes after the buffer are "
-                    message += "unused"
-                    self.diagnostics.warn("GLT101", buffer.pointer, message)
+                    message += "ignored"
+                    self.diagnostics.warn(
+                        "GLT101", buffer.pointer, message, _SURPLUS_HINT
+                    )
         elif uri.startswith("data:"):
             self.buffer_bytes(index)
         else:

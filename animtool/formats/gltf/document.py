@@ -87,7 +87,7 @@ class Gltf:
 def open_gltf(path: Path | str) -> Gltf:
     """Open a .gltf or .glb, and validate all numbers that affect motion."""
     path = Path(path)
-    diagnostics = FileDiagnostics(str(path))
+    diagnostics = FileDiagnostics(str(path), "export the file again")
     container = read_container(path, diagnostics)
     json_root = container.json_root
     _check_asset(json_root)
@@ -160,8 +160,8 @@ def _check_extensions(container: Container, path: Path) -> None:
     )
     for name, pointer in used_extensions.items():
         if name not in used_names:
-            effect = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
-            message = f"the extension {excerpt(name)} is not declared{effect}"
+            effect = "" if name in SUPPORTED_EXTENSIONS else ", and is ignored"
+            message = f"extensionsUsed does not list {excerpt(name)}{effect}"
             diagnostics.warn("GLT106", pointer, message)
 
 
@@ -177,13 +177,14 @@ def _check_extension_lists(json_root: JsonItem) -> tuple[list[Any], list[Any]]:
     for i, name in enumerate(used_names):
         pointer = f"{json_root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
-            message = f"{value_excerpt(name)} is not an extension name: ignored"
+            message = f"{value_excerpt(name)} is not an extension name and is ignored"
             diagnostics.warn("GLT106", pointer, message)
         elif name in REQUIRED_EXTENSIONS and name not in required_names:
-            diagnostics.warn("GLT106", pointer, f"{name} is used, but not required")
+            message = f"{name} is missing from extensionsRequired"
+            diagnostics.warn("GLT106", pointer, message)
     for i, name in enumerate(required_names):
         if isinstance(name, str) and name not in used_names:
-            message = f"{excerpt(name)} is required, but not listed as used"
+            message = f"{excerpt(name)} is missing from extensionsUsed"
             pointer = f"{json_root.pointer_to('extensionsRequired')}/{i}"
             diagnostics.warn("GLT106", pointer, message)
     return used_names, required_names
@@ -237,7 +238,9 @@ def _check_weights(
         if node.weights is not None:
             target_count = meshes[node.mesh].target_count
             if len(node.weights) != target_count:
-                message = f"{len(node.weights)} weights for {target_count} targets"
+                message = (
+                    f"there are {len(node.weights)} weights for {target_count} targets"
+                )
                 diagnostics.fail("GLT011", f"/nodes/{i}/weights", message)
 
 
@@ -257,10 +260,12 @@ def _check_geometry(gltf: Gltf) -> None:
     _check_scenes(gltf, roots)
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):
-            message = f"node {skin.skeleton} is not above the joints: ignored"
-            gltf.diagnostics.warn("GLT106", f"{skin.location}/skeleton", message)
+            message = f"node {skin.skeleton} is not a common ancestor of the skin's "
+            message += "joints, so skeleton is ignored"
+            hint = "point skeleton at a common ancestor of the joints, or remove it"
+            gltf.diagnostics.warn("GLT106", f"{skin.location}/skeleton", message, hint)
         if len({roots[joint] for joint in skin.joints}) > 1:
-            message = "the joints have no common root: each chain is read"
+            message = "the joints have no common root; each chain is read"
             gltf.diagnostics.warn("GLT106", f"{skin.location}/joints", message)
 
 
@@ -275,8 +280,11 @@ def _check_scenes(gltf: Gltf, roots: list[int]) -> None:
         if node.skin < 0:
             continue
         if any(roots[i] in s and not skin_roots[node.skin] & s for s in scenes):
-            message = "a scene shows the mesh without the joints of its skin"
-            gltf.diagnostics.warn("GLT106", f"/nodes/{i}", f"{message}: they count too")
+            message = (
+                "a scene shows the mesh, but not the joints of its skin; they are "
+            )
+            message += "read anyway"
+            gltf.diagnostics.warn("GLT106", f"/nodes/{i}", message)
 
 
 def _require_mesh_data(accessors: Accessors, primitive: Primitive) -> None:

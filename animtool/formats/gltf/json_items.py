@@ -49,9 +49,11 @@ class JsonItem:
         """Return the pointer of a property."""
         return f"{self.pointer}/{escape_pointer(key)}"
 
-    def fail(self, key: str, message: str, code: str = "GLT005") -> NoReturn:
+    def fail(
+        self, key: str, message: str, code: str = "GLT005", hint: str | None = None
+    ) -> NoReturn:
         """Raise a `FormatError` about a property."""
-        self.diagnostics.fail(code, self.pointer_to(key), message)
+        self.diagnostics.fail(code, self.pointer_to(key), message, hint)
 
     def fail_missing(self, key: str) -> NoReturn:
         """Raise a `FormatError` about a missing property."""
@@ -65,7 +67,13 @@ class JsonItem:
         value = self.values[key]
         if _is_integer(value):
             return int(value)
-        return self.fail(key, f"{key} must be an integer, not {value_excerpt(value)}")
+        kind = ""
+        hint: str | None = None
+        if isinstance(value, str):
+            kind = "the text "
+            hint = "write it without quotes" if value.strip("-").isdecimal() else None
+        message = f"{key} must be an integer, not {kind}{value_excerpt(value)}"
+        return self.fail(key, message, hint=hint)
 
     def size(self, key: str, default: int | None = None, minimum: int = 0) -> int:
         """Return an integer property; raise if it is missing or below a minimum."""
@@ -75,7 +83,7 @@ class JsonItem:
                 self.fail_missing(key)
             return default
         if value < minimum:
-            self.fail(key, f"{key} is {value}, and must be at least {minimum}")
+            self.fail(key, f"{key} is {value}, but must be at least {minimum}")
         return value
 
     def index(self, key: str, count: int, noun: str) -> int:

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import FileSkin
 from animtool.formats.file_diagnostics import FileDiagnostics
@@ -102,7 +103,7 @@ def _read_mesh(item: JsonItem, accessors: Accessors) -> GltfMesh:
     target_count = max(target_counts, default=0)
     weights = item.floats("weights", None)
     if weights is not None and len(weights) != target_count:
-        message = f"{len(weights)} weights for {target_count} targets"
+        message = f"there are {len(weights)} weights for {target_count} targets"
         item.diagnostics.fail("GLT011", item.pointer_to("weights"), message)
     extras = item.values.get("extras")
     stated_names = extras.get("targetNames") if isinstance(extras, dict) else None
@@ -131,7 +132,7 @@ def _read_primitive(item: JsonItem, accessors: Accessors) -> Primitive:
     targets = [_read_morph_target(t, vertex_count, accessors) for t in target_items]
     mode = item.integer("mode")
     if mode is not None and not 0 <= mode <= FAN:
-        message = f"mode {mode} is unknown: the primitive has no faces"
+        message = f"unknown mode {mode}; the primitive is read without faces"
         item.diagnostics.warn("GLT106", item.pointer_to("mode"), message)
     index_accessor = item.index("indices", len(accessors.by_index), "accessor")
     if index_accessor >= 0:
@@ -155,7 +156,7 @@ def _read_attributes(attributes: JsonItem, accessor_count: int) -> dict[str, int
         if is_supported_attribute(name):
             accessor_indices[name] = attributes.index(name, accessor_count, "accessor")
         elif not is_known_attribute(name):
-            message = f"unknown attribute {name!r}: ignored"
+            message = f"the unknown attribute {name!r} is ignored"
             attributes.diagnostics.warn("GLT106", attributes.pointer_to(name), message)
     return accessor_indices
 
@@ -188,7 +189,7 @@ def _read_morph_target(
     for name, index in accessor_indices.items():
         accessor = _require_accessor(target, name, index, accessors, *types)
         if accessor.count != vertex_count:
-            message = f"{accessor.count} rows for {vertex_count} vertices"
+            message = f"there are {accessor.count} rows for {vertex_count} vertices"
             target.diagnostics.fail("GLT011", target.pointer_to(name), message)
         if accessors.has_data(index):
             check_bounds(accessor.item, accessors.numbers(index))
@@ -204,7 +205,7 @@ def _check_morph_attributes(target: JsonItem) -> None:
         target.diagnostics.warn("GLT106", target.pointer, message)
     for name in target.values:
         if not is_known_attribute(name):
-            message = f"unknown attribute {name!r}: ignored"
+            message = f"the unknown attribute {name!r} is ignored"
             target.diagnostics.warn("GLT106", target.pointer_to(name), message)
 
 
@@ -252,7 +253,7 @@ def _check_vertices(
         if name.startswith("WEIGHTS_") and not (
             accessor.is_normalized or accessor.component_type == FLOAT_COMPONENT
         ):
-            message = f"{name} are integers that are not normalized: "
+            message = f"{name} are integers that are not normalized; they are "
             message += "divided by their sum"
             attributes.diagnostics.warn("GLT104", attributes.pointer_to(name), message)
         if vertex_count < 0:
@@ -281,7 +282,8 @@ def _check_indices(
         return
     max_index = int(accessors.numbers(index).max())
     if vertex_count >= 0 and max_index >= vertex_count:
-        message = f"a face refers to vertex {max_index} of {vertex_count}"
+        message = f"a face refers to vertex {max_index}, but the mesh has only "
+        message += counted(vertex_count, "vertex", "vertices")
         item.diagnostics.fail("GLT006", item.pointer_to("indices"), message)
 
 
@@ -293,7 +295,7 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
     stated_bounds = [item.values.get(key) for key in ("min", "max")]
     if stated_bounds == [None, None]:
         if required_by:
-            message = "min and max are missing: computed from the data"
+            message = "min and max are missing; they are computed from the data"
             item.diagnostics.warn("GLT102", required_by, message)
         return
     actual_bounds = values.min(axis=0), values.max(axis=0)
@@ -308,9 +310,11 @@ def check_bounds(item: JsonItem, values: Any, *, required_by: str = "") -> None:
         numbers = zip(stated_bound, bound.tolist(), strict=True)
         for i, (stated_value, value) in enumerate(numbers):
             if is_number(stated_value) and not abs(stated_value - value) <= tolerance:
-                message = f"{key} is {stated_value!r}, but the data has "
-                message += f"{value:.9g}: using the data"
-                item.diagnostics.warn("GLT102", f"{item.pointer_to(key)}/{i}", message)
+                side = "smallest" if key == "min" else "largest"
+                message = f"{key} is {stated_value!r}, but the {side} value in the "
+                message += f"data is {value:.9g}; the data is used"
+                pointer, hint = f"{item.pointer_to(key)}/{i}", "export the file again"
+                item.diagnostics.warn("GLT102", pointer, message, hint)
                 break
 
 
@@ -329,7 +333,7 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSki
     joints = item.indices("joints", node_count, "node")
     if not joints:
         item.diagnostics.fail(
-            "GLT011", item.pointer_to("joints"), "a skin without joints"
+            "GLT011", item.pointer_to("joints"), "the skin has no joints"
         )
     if len(set(joints)) < len(joints):
         item.diagnostics.warn(
@@ -344,8 +348,13 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSki
         accessor = _require_accessor(item, key, accessor_index, accessors, *types)
         accessors.warn_about_stride(accessor_index, pointer)
         if accessor.count < len(joints):
-            message = f"{accessor.count} matrices for {len(joints)} joints"
-            item.diagnostics.fail("GLT011", pointer, message)
+            count = counted(
+                accessor.count, "inverse bind matrix", "inverse bind matrices"
+            )
+            message = f"there {'is' if accessor.count == 1 else 'are'} {count} for "
+            message += f"{len(joints)} joints"
+            hint = "export the skin again with one matrix per joint"
+            item.diagnostics.fail("GLT011", pointer, message, hint)
         columns = np.zeros((len(joints), 4, 4))
         if accessors.has_data(accessor_index):
             columns = accessors.floats(accessor_index)[: len(joints)].reshape(-1, 4, 4)
@@ -357,13 +366,13 @@ def _read_skin(item: JsonItem, accessors: Accessors, node_count: int) -> FileSki
             column_error = np.abs(columns[:, 3] - [0.0, 0.0, 0.0, 1.0]).max()
             hint = "glTF stores columns, each with four numbers"
             if column_error <= 1e-4:
-                message += ", but its last column is: they are stored by rows"
-                hint = "transpose all matrices: glTF stores columns"
+                message += ", but its last column is; they are stored by rows"
+                hint = "transpose all matrices, because glTF stores columns"
             item.diagnostics.fail("GLT010", pointer, message, hint)
         matrices[:, 3] = [0.0, 0.0, 0.0, 1.0]
     skeleton = item.integer("skeleton")
     if skeleton is not None and not 0 <= skeleton < node_count:
-        message = f"node {skeleton} does not exist: the hint is ignored"
+        message = f"node {skeleton} does not exist, so skeleton is ignored"
         item.diagnostics.warn("GLT106", item.pointer_to("skeleton"), message)
         skeleton = None
     skeleton = -1 if skeleton is None else skeleton
@@ -394,11 +403,15 @@ def read_skin_weights(
             np.argwhere(has_weight if has_weight.any() else is_out_of_range)[0, 1] // 4
         )
         pointer = f"{primitive.pointer}/attributes/JOINTS_{int(set_index)}"
-        message = f"joint {int(indices[is_out_of_range].max())} of a skin with "
-        message += f"{joint_count}"
+        message = (
+            f"joint {int(indices[is_out_of_range].max())} does not exist; the skin "
+        )
+        message += f"has {counted(joint_count, 'joint')}"
         if has_weight.any():
             diagnostics.fail("GLT006", pointer, message)
-        diagnostics.warn("GLT106", pointer, f"{message}, without weight: ignored")
+        diagnostics.warn(
+            "GLT106", pointer, f"{message}; it has no weight and is ignored"
+        )
         indices[is_out_of_range] = 0
     weight_sums = weights.sum(axis=1)
     sum_errors = np.abs(weight_sums - 1.0)
@@ -408,15 +421,16 @@ def read_skin_weights(
     )
     if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
         weight_sum = weight_sums[sum_errors.argmax()]
-        message = f"weights of a vertex have the sum {weight_sum:.6g}: they are "
-        diagnostics.warn("GLT104", pointer, f"{message}normalised")
+        message = (
+            f"the weights of a vertex sum to {weight_sum:.6g}; they are normalised"
+        )
+        diagnostics.warn("GLT104", pointer, message)
     is_unweighted = weight_sums == 0.0
     if is_unweighted.any():
         if has_data:
-            message = f"{int(is_unweighted.sum())} vertices have no weights"
-            diagnostics.warn(
-                "GLT104", pointer, f"{message}: they follow the first joint"
-            )
+            count = counted(int(is_unweighted.sum()), "vertex", "vertices")
+            message = f"the first joint moves {count} without weights"
+            diagnostics.warn("GLT104", pointer, message)
         weights[is_unweighted, 0], indices[is_unweighted, 0] = 1.0, 0
         weight_sums = np.where(is_unweighted, 1.0, weight_sums)
     return indices, weights / weight_sums[:, None]
@@ -434,9 +448,10 @@ def _check_duplicate_joints(
     sorted_indices = np.sort(np.where(weights > 0, indices, placeholders), axis=1)
     has_duplicate = (sorted_indices[:, 1:] == sorted_indices[:, :-1]).any(axis=1)
     if has_duplicate.any():
-        message = f"{int(has_duplicate.sum())} vertices have two weights of one joint"
+        count = counted(int(has_duplicate.sum()), "vertex", "vertices")
+        message = f"two weights of one joint are added at {count}"
         pointer = f"{primitive.pointer}/attributes/JOINTS_0"
-        diagnostics.warn("GLT104", pointer, f"{message}: they are added")
+        diagnostics.warn("GLT104", pointer, message)
 
 
 def build_triangles(

@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from animtool.core.array_types import FloatArray
+from animtool.core.errors import cycle_text
 from animtool.formats.characters.nodes import NO_TRANSFORM, Node
 from animtool.formats.gltf.json_items import JsonItem, animtool_extras
 from animtool.maths import so3
@@ -28,8 +29,9 @@ def read_nodes(
     """Return the nodes in file order, with parents and rest transforms."""
     items = json_root.children("nodes")
     if len(items) > MAX_NODES:
-        message = f"{len(items)} nodes; the limit is {MAX_NODES}"
-        json_root.diagnostics.fail("GLT013", "/nodes", message)
+        message = f"the file has {len(items)} nodes; the limit is {MAX_NODES}"
+        hint = "export fewer nodes in one file"
+        json_root.diagnostics.fail("GLT013", "/nodes", message, hint)
     child_lists = [item.indices("children", len(items), "node") for item in items]
     parents = _parent_indices(items, child_lists)
     return tuple(
@@ -43,12 +45,14 @@ def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list
     for i, children in enumerate(child_lists):
         for child_number, child in enumerate(children):
             if child == i:
-                message = "the node is its own child"
-                items[i].diagnostics.fail("GLT009", items[i].pointer, message)
+                message = f"node {i} is its own child"
+                hint = "remove it from its children"
+                items[i].diagnostics.fail("GLT009", items[i].pointer, message, hint)
             if parents[child] >= 0:
                 message = f"node {child} has two parents, {parents[child]} and {i}"
                 pointer = f"{items[i].pointer}/children/{child_number}"
-                items[i].diagnostics.fail("GLT009", pointer, message)
+                hint = "remove it from the children of one of them"
+                items[i].diagnostics.fail("GLT009", pointer, message, hint)
             parents[child] = i
     is_acyclic = [False] * len(items)
     for i in range(len(items)):
@@ -56,8 +60,12 @@ def _parent_indices(items: list[JsonItem], child_lists: list[list[int]]) -> list
         ancestor = i
         while ancestor >= 0 and not is_acyclic[ancestor]:
             if ancestor in visited_nodes:
-                item, message = items[ancestor], "the node is its own ancestor"
-                item.diagnostics.fail("GLT009", item.pointer, message)
+                item, visited = items[ancestor], list(visited_nodes)
+                cycle = [ancestor, *reversed(visited[visited.index(ancestor) :])]
+                message = f"node {ancestor} is its own ancestor: "
+                message += cycle_text(list(map(str, cycle)))
+                hint = "remove one of these nodes from the children of its parent"
+                item.diagnostics.fail("GLT009", item.pointer, message, hint)
             visited_nodes[ancestor] = None
             ancestor = parents[ancestor]
         for node in visited_nodes:
@@ -113,11 +121,13 @@ def _read_transform(item: JsonItem) -> tuple[Vector, Quaternion, Vector, bool]:
     )
     length = math.hypot(*rotation)
     if length == 0.0:
-        message = "a rotation has length 0"
+        message = "the rotation is a quaternion of length 0"
         item.diagnostics.fail("GLT010", item.pointer_to("rotation"), message)
     if abs(length - 1.0) > UNIT_TOLERANCE:
-        message = f"the rotation has length {length:.6g}: it is normalised"
-        item.diagnostics.warn("GLT103", item.pointer_to("rotation"), message)
+        message = f"the rotation is not a unit quaternion (length {length:.6g}); it is "
+        message += "normalised"
+        hint = "export the file again if the rotation looks wrong"
+        item.diagnostics.warn("GLT103", item.pointer_to("rotation"), message, hint)
     x, y, z = translation
     a, b, c, w = (value / length for value in rotation)
     u, v, s = scale

@@ -132,9 +132,10 @@ def _ignored_contents_notice(gltf: Gltf, animation: Animation | None) -> list[Fa
     ]
     if hidden_names:
         contents.append(
-            f"that nodes are hidden: {listed(hidden_names, MAX_LISTED_CONTENTS)}"
+            "the visibility of hidden nodes "
+            f"({listed(hidden_names, MAX_LISTED_CONTENTS)})"
         )
     if not contents:
         return []
-    message = f"ignored: {', '.join(contents)}"
+    message = f"the take leaves out {', '.join(contents)}"
     return [Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE)]

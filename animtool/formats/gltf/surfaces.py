@@ -62,10 +62,8 @@ def build_meshes(
             shapes.append(Shape(next(next_names), mesh.name, deltas, normals))
     notices = []
     if empty_mesh_names:
-        message = (
-            f"{counted(len(empty_mesh_names), 'mesh', 'meshes')} with only points or "
-        )
-        message += f"lines, or with no geometry, skipped: {listed(empty_mesh_names)}"
+        count = counted(len(empty_mesh_names), "mesh", "meshes")
+        message = f"skipped {count} without faces: {listed(empty_mesh_names)}"
         notices.append(Fault("GLT108", message, str(gltf.path), severity=Severity.NOTE))
     return tuple(meshes), tuple(shapes), tuple(shape_keys), notices
 
@@ -197,7 +195,7 @@ def _warn_of_equal_binds(gltf: Gltf, skin_index: int, blended_count: int) -> Non
     message += f"joints are up to {length_text(float(max(offsets)))} from their "
     message += f"parents, and {counted(blended_count, 'point')} "
     message += "follows" if blended_count == 1 else "follow"
-    message += " several of them: the mesh tears"
+    message += " several of them, so the mesh tears"
     hint = "export it again with the inverse bind matrices of the bind pose"
     gltf.diagnostics.warn(
         "GLT119", f"{skin.location}/inverseBindMatrices", message, hint

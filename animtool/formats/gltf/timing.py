@@ -86,9 +86,10 @@ def find_frame_range(
     count = last_frame - first_frame + 1
     if count > MAX_FRAME_COUNT or count * max(values_per_frame, 1) > MAX_TAKE_VALUES:
         duration = last_time - first_time
-        message = f"{duration:.6g} s at {rate_label(rate)} are {count} frames of "
-        message += f"{values_per_frame} numbers, above the limit"
-        hint = f"lower the rate with {argument('source.fps')}"
+        limit = min(MAX_FRAME_COUNT, MAX_TAKE_VALUES // max(values_per_frame, 1))
+        message = f"the animation lasts {duration:.6g} s, which is {count} frames at "
+        message += f"{rate_label(rate)}; the limit is {limit}"
+        hint = f"remove stray keys, or lower the rate with {argument('source.fps')}"
         raise FormatError(
             Fault("GLT013", message, path, (), hint, where=animation.pointer)
         )

@@ -102,7 +102,7 @@ def build_rig(robot: Robot, diagnostics: XmlDiagnostics, codes: RobotCodes) -> R
     meshes = _build_link_meshes(robot, joint_names, joints)
     _warn_of_size(diagnostics, joints, colliders)
     if diagnostics.ignored_labels:
-        message = f"not read: {listed(list(diagnostics.ignored_labels), 20)}"
+        message = f"the rig leaves out {listed(list(diagnostics.ignored_labels), 20)}"
         diagnostics.add(codes.ignored_code, None, message, severity=Severity.NOTE)
     return Rig(
         _replace_control_characters(robot.name) or diagnostics.path.stem,
@@ -276,9 +276,11 @@ def _note_approximate_colliders(
     count = sum(
         s.kind in {"box", "cylinder"} for link in robot.links for s in link.solids
     )
-    message = f"{counted(count, 'box or cylinder', 'boxes and cylinders')} collide as "
-    message += f"capsules, whose surfaces are up to {length_text(largest_error)} off"
-    hint = "colliders of a rig are capsules; a rig file over this one may have others"
+    verb = "is" if count == 1 else "are"
+    message = f"{counted(count, 'box or cylinder', 'boxes and cylinders')} {verb} "
+    message += "approximated by capsules, whose surfaces are off by up to "
+    message += length_text(largest_error)
+    hint = "to use other capsules, define them in a rig file that extends this one"
     diagnostics.add(codes.approximate_code, None, message, hint, severity=Severity.NOTE)
 
 

@@ -163,7 +163,7 @@ def _ignored_labels(root: XmlElement) -> Iterator[str]:
                 yield _IGNORED_JOINT_LABELS[child.tag]
             elif element.tag == "joint" and child.tag == "limit":
                 names = {"effort", "velocity"} & set(child.attributes)
-                yield from ("limits of effort and velocity",) if names else ()
+                yield from ("effort and velocity limits",) if names else ()
 
 
 def _actuated_joints(root: XmlElement) -> tuple[frozenset[str], bool]:

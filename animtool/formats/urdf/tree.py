@@ -27,13 +27,14 @@ def check_tree(file: UrdfFile, diagnostics: XmlDiagnostics) -> None:
             first_joint = parent_joints[joint.child]
             message = (
                 f"link {excerpt(joint.child)} has two parents, "
-                f"{excerpt(first_joint.parent)} by joint {excerpt(first_joint.name)} "
-                f"and {excerpt(joint.parent)} by joint {excerpt(joint.name)}"
+                f"{excerpt(first_joint.parent)} through joint "
+                f"{excerpt(first_joint.name)} and {excerpt(joint.parent)} through "
+                f"joint {excerpt(joint.name)}"
             )
             cycle = _cycle_through(joint, parent_joints)
-            hint = "a robot is a tree: remove one of the two joints"
+            hint = "a robot must be a tree; remove one of the two joints"
             if cycle:
-                message += f"; {cycle_text(cycle)} go round"
+                message += f"; {cycle_text(cycle)} form a loop"
             add_joint_fault(diagnostics, "URD011", joint, message, hint)
         elif joint.child:
             parent_joints[joint.child] = joint
@@ -86,7 +87,7 @@ def _check_roots(
         names = names[link_cycle.index(link) :]
         first_joint = file.joints[names[0]]
         hint = "remove one of these joints"
-        message = f"joints go round: {cycle_text([*reversed(names), names[-1]])}"
+        message = f"joints form a loop: {cycle_text([*reversed(names), names[-1]])}"
         if not roots:
             message += "; every link has a parent, so there is no root"
         add_joint_fault(diagnostics, "URD011", first_joint, message, hint)

@@ -151,7 +151,7 @@ def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
 def _summary_notice(actor: AttachmentActor) -> Fault:
     """Return a note about steps, strain and contact of an attachment (SIM130)."""
     phrases = [
-        f"{actor.body.name}: {counted(actor.steps_per_frame, 'step')} per frame",
+        f"{actor.body.name} takes {counted(actor.steps_per_frame, 'step')} per frame",
         f"springs stretch by up to {percent_text(actor.grid.max_strain)}",
     ]
     if actor.grid.max_contact_count:
@@ -161,8 +161,8 @@ def _summary_notice(actor: AttachmentActor) -> Fault:
         phrases.append(actor.meter.text)
     if actor.teleport_count:
         teleports = counted(actor.teleport_count, "teleport")
-        phrases.append(f"moved with the character over {teleports}")
-    return Fault("SIM130", ", ".join(phrases), severity=Severity.NOTE)
+        phrases.append(f"it was moved with the character over {teleports}")
+    return Fault("SIM130", "; ".join(phrases), severity=Severity.NOTE)
 
 
 def _start_notices(actor: AttachmentActor) -> list[Fault]:

@@ -246,7 +246,9 @@ def key_problems(spec: FlocksModel) -> Iterator[Problem]:
                 named_species.append((f"{key}[{i}].species", relation.species))
         for key, name in named_species:
             if name not in species_names:
-                hint = f"the species are {', '.join(species_names)}"
+                hint = f"the species are {', '.join(map(repr, species_names))}"
+                if len(species_names) == 1:
+                    hint = f"the only species is {species_names[0]!r}"
                 yield f"unknown species {excerpt(name)}", f"{location}.{key}", hint
         yield from _speed_problems(species, location)
     has_mesh = [species.shows is not None for species in spec.species]

@@ -180,10 +180,10 @@ class Molecules(Interacting[MoleculeState, ListedForces]):
         """Raise SIM071 if the step is too long, or numbers overflow in the scene."""
         spec, step = self._spec, self._spec.step * self._spec.pace
         if step * self._max_frequency > MAX_STEP:
-            message = f"a step of {step:.3g} ps is too long: atoms vibrate in "
-            message += f"{2 * math.pi / self._max_frequency:.3g} ps"
+            message = f"a step of {step:.3g} ps is too long: the fastest vibration "
+            message += f"has a period of {2 * math.pi / self._max_frequency:.3g} ps"
             suggested_step = self._suggested_step(initial_state)
-            hint = f"use step: {suggested_step:.2g}, or a smaller pace"
+            hint = f"use 'step: {suggested_step:.2g}', or a lower pace"
             refuse(spec.code, message, "step", hint)
         if not np.isfinite(self._to_scene(initial_state.motion)).all():
             message = "atoms are so far away or fast in the scene that numbers overflow"

@@ -122,7 +122,7 @@ def check_joints(
         with refusals.collect():
             body = _body_model(model.body, models_by_name, f"{location}.body")
             if body.kinematic and body.release is None:
-                message = f"{model.body!r} is kinematic: joints cannot move it"
+                message = f"{model.body!r} is kinematic, so joints cannot move it"
                 refuse("SIM061", message, f"{location}.body")
         with refusals.collect():
             if model.to is not None:
@@ -133,11 +133,11 @@ def check_joints(
         for key, joint_types in _OPTION_TYPES.items():
             with refusals.collect():
                 if getattr(model, key) is not None and model.type not in joint_types:
-                    message = f"{name!r} is a {model.type} joint: {key} is for "
-                    message += f"{' and '.join(joint_types)}"
-                    hint = f"type: {joint_types[0]}"
+                    message = f"{name!r} is a {model.type} joint, but {key!r} applies "
+                    message += f"only to {' and '.join(joint_types)} joints"
+                    hint = f"remove it, or write 'type: {joint_types[0]}'"
                     if model.type == "ball" and key == "limits":
-                        hint = "use swing: 40, or twist: [-30, 30]"
+                        hint = "use 'swing: 40' or 'twist: [-30, 30]' instead"
                     refuse("SIM061", message, f"{location}.{key}", hint)
         with refusals.collect():
             _axis_rotation(model, name, location)
@@ -337,7 +337,7 @@ def _limit_parameters(model: RigidJointModel, name: str, location: str) -> list[
             refuse("SIM061", f"{message}, {limits[1]:g}", f"{location}.{key}")
         if model.type == "pin" and high - low > 2 * np.pi * (1 + 1e-12):
             message = f"the limits of {name!r} are more than 360 degrees apart"
-            hint = "remove them: full rotations are not counted"
+            hint = "remove them, because full rotations are not counted"
             refuse("SIM061", message, f"{location}.{key}", hint)
     if model.swing is not None:
         swings = model.swing
@@ -386,7 +386,7 @@ def _motor_speed(
     if drive.speed is None:
         return 0.0
     if model.type == "ball":
-        message = "the drive of a ball has no speed: it has no single axis"
+        message = "the drive of a ball has no speed, because it has no single axis"
         refuse("SIM061", message, f"{location}.drive.speed", "type: pin")
     for key in ("stiffness", "target"):
         if key in drive.model_fields_set:
@@ -409,7 +409,7 @@ def _distance_warnings(
     if distance <= MAX_DISTANCE_RADII * kind.bounding_radius:
         return []
     message = f"{name} is {distance:g} m from {bodies.names[body]!r}, which extends "
-    hint = f"is its `at` in world space? {bodies.names[body]!r} is at "
-    hint += vector_text(pose[:3])
+    hint = "correct `at`, which is not in the frame of the body: in world space "
+    hint += f"{bodies.names[body]!r} is at {vector_text(pose[:3])}"
     message += f"{kind.bounding_radius:g} m from its centre of mass"
     return [warning("SIM127", message, hint, f"{location}.at")]

@@ -143,7 +143,7 @@ def _unknown_particle_faults(
     particles: IntArray, where: str, count: int
 ) -> list[Fault]:
     """Return a fault (SIM043) for each of the first few unknown particles."""
-    message = f"unknown particle {{}}: they are 0 to {count - 1}"
+    message = f"unknown particle {{}}; the particles are 0 to {count - 1}"
     is_unknown = (particles < 0) | (particles >= count)
     return _row_faults("SIM043", message, particles[is_unknown], where)
 

@@ -172,7 +172,7 @@ def _choose_cheapest(
     as stability needs. With an error tolerance, bdf2 steps count at their lowest cost.
     """
     step = options.step
-    stability_text = f"symplectic_euler is stable from {rate:.0f} steps per second"
+    stability_text = f"symplectic_euler needs at least {rate:.0f} steps per second"
     cell = CELL if step is None else step
     steps = INITIAL_SUBSTEPS[Solver.BDF2] / CELL if step is None else 1 / step
     if rate > MAX_SOLVABLE_RATE:

@@ -236,9 +236,9 @@ class Teleports:
             names += ["targets"] if has_teleported[self._pin_count :].any() else []
             message = (
                 f"{' and '.join(names)} move faster than {self._max_speed:g} m/s until "
-                f"{t:g} s: attached particles move along without gaining velocity"
+                f"{t:g} s, so attached particles move along without gaining velocity"
             )
-            hint = "raise the speed limit if they should pull it along"
+            hint = "raise speed_limit if they should drag the springs along"
             notices.append(warning("SIM122", message, hint, names[0]))
         return notices
 

@@ -195,7 +195,7 @@ def particle_indices(
         elif -count <= name < count:
             indices.append(name % count)
         else:
-            message = f"unknown particle {name}: they are 0 to {count - 1}"
+            message = f"unknown particle {name}; the particles are 0 to {count - 1}"
             faults.append((i, Fault("SIM052", message)))
     return indices, faults
 

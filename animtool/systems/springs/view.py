@@ -351,16 +351,17 @@ class SpringView:
         """Return a note about the solver, strain and contact (SIM130)."""
         simulation = self.simulation
         phrases = [
-            f"{simulation.choice.solver} ({simulation.choice.reason})",
-            f"shortest step {plain_number(simulation.shortest_step)} s",
+            f"the shortest step is {plain_number(simulation.shortest_step)} s",
             f"springs stretch by up to {percent_text(simulation.max_strain)}",
         ]
         error = simulation.plan.error
         if error is not None and math.isfinite(error):
-            phrases.append(f"error {length_text(error)}")
+            phrases.append(f"the error is {length_text(error)}")
         if torn_count:
-            phrases.append(f"{counted(torn_count, 'spring')} torn")
+            verb = "is" if torn_count == 1 else "are"
+            phrases.append(f"{counted(torn_count, 'spring')} {verb} torn")
         if self._meter.text:
             phrases.append(self._meter.text)
-        message = f"{self.member.name}: {', '.join(phrases)}"
+        message = f"{self.member.name} uses {simulation.choice.solver} "
+        message += f"({simulation.choice.reason}); {'; '.join(phrases)}"
         return Fault("SIM130", message, severity=Severity.NOTE)

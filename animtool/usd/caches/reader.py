@@ -13,7 +13,7 @@ import numpy as np
 from pxr import Sdf, Usd, UsdGeom, UsdSkel
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault, OptionError, excerpt
+from animtool.core.errors import Fault, OptionError, counted, excerpt
 from animtool.core.rates import rate_from_float
 from animtool.core.record import dataclass
 from animtool.core.units import UpAxis, up_from_up
@@ -332,10 +332,11 @@ def mesh_fault(points: FloatArray, counts: IntArray, indices: IntArray) -> str:
     if not np.isfinite(points).all():
         return "has a point that is not finite"
     if (counts < 3).any():
-        return f"has a face of {counts.min()} corners"
+        return f"has a face of only {counted(int(counts.min()), 'corner')}"
     if counts.sum() != len(indices):
-        return f"has {len(indices)} corners, and its faces {counts.sum()}"
+        return f"has {len(indices)} corners, but its faces need {counts.sum()}"
     out_of_range = indices[(indices < 0) | (indices >= len(points))]
     if len(out_of_range):
-        return f"has a corner {out_of_range[0]} outside its {len(points)} points"
+        count = counted(len(points), "point")
+        return f"has a face that refers to point {out_of_range[0]}, but only {count}"
     return ""

@@ -156,7 +156,8 @@ def _compare_extents(
     is_wrong_count = array.counts != 2
     if is_wrong_count.any():
         count = array.counts[np.flatnonzero(is_wrong_count)[0]]
-        message = f"{count} corners instead of 2, {samples_text(array, is_wrong_count)}"
+        message = f"the extent has {count} corners instead of 2, "
+        message += samples_text(array, is_wrong_count)
         yield finding("USD251", attr.GetPath(), message)
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
@@ -215,12 +216,12 @@ def _compare_extents(
         if outlier_indices is None and len(candidate_indices) < len(times)
         else ""
     )
-    prefix = "off by" if is_exact else "what moves exceeds it by"
+    prefix = "the extent is off by" if is_exact else "the motion exceeds the extent by"
     message = (
         f"{prefix} {largest:.3g}{or_more} {samples_text(sample_times, faulty_indices)}"
     )
     if len(faulty_indices) > 1:
-        message += f", most at {frame_label(times[-negative_index])}"
+        message += f", and most at {frame_label(times[-negative_index])}"
     if skinned_root.bounds is not None:
         message += _overhang_text(boundable.GetPrim(), extents, times)
     yield finding("USD251", attr.GetPath(), message)

@@ -130,12 +130,13 @@ def _check_extent(
     ):
         return
     if not attr.HasAuthoredValue():
-        message = f"this {prim.GetTypeName()} has none, but its points move"
+        message = f"this {prim.GetTypeName()} has no extent, but its points move"
         yield finding("USD250", prim.GetPath(), message)
         return
     array = checked_stage.sampled_array(attr)
     if (array.counts != 2).any():
-        message = f"not two corners {samples_text(array, array.counts != 2)}"
+        message = "the extent does not have two corners "
+        message += samples_text(array, array.counts != 2)
         yield finding("USD251", attr.GetPath(), message)
         return
     extents = array.rows(2, 3)[1].astype(np.float64)
@@ -147,10 +148,11 @@ def _check_extent(
     if (excess > 0).any():
         worst_sample = int(np.nanargmax(np.where(excess > 0, distance, 0.0)))
         message = (
-            f"off by {distance[worst_sample]:.3g} {samples_text(points, excess > 0)}"
+            f"the extent is off by {distance[worst_sample]:.3g} "
+            f"{samples_text(points, excess > 0)}"
         )
         if np.count_nonzero(excess > 0) > 1:
-            message += f", most at {frame_label(points.times[worst_sample])}"
+            message += f", and most at {frame_label(points.times[worst_sample])}"
         yield finding("USD251", attr.GetPath(), message)
 
 

@@ -81,12 +81,12 @@ def check_with_usd(checked_stage: CheckedStage) -> Iterator[Fault]:
     ]
     validators = registry.GetOrLoadValidatorsByName(names)
     errors = UsdValidation.ValidationContext(validators).Validate(checked_stage.stage)
-    faults = [_usd_error_fault(error) for error in errors]
+    faults = [_usd_error_fault(error, checked_stage.stage) for error in errors]
     # They run in parallel and return findings in any order.
     yield from sorted(faults, key=lambda f: (f.code, f.where or "", f.message))
 
 
-def _usd_error_fault(error: Any) -> Fault:
+def _usd_error_fault(error: Any, stage: Any) -> Fault:
     validator = error.GetValidator().GetMetadata().name
     code = _CODES_BY_VALIDATOR.get(validator)
     if code is None:
@@ -96,6 +96,15 @@ def _usd_error_fault(error: Any) -> Fault:
     text = " ".join(error.GetMessage().split()).rstrip(".")
     # The file is named before the message, and so is what a known code is about.
     text = re.sub(r"Stage with root layer <[^>]*>", "the stage", text)
+    text = re.sub(
+        r"^UsdSkelBindingAPI applied on prim: <[^>]*>, which is not .*",
+        "the prim has SkelBindingAPI, but is not below a SkelRoot",
+        text,
+    )
+    if code == "USD259":
+        name = stage.GetRootLayer().defaultPrim
+        text = "the stage has no defaultPrim"
+        text = f"the defaultPrim {name!r} does not exist" if name else text
     message = text if validator in _CODES_BY_VALIDATOR else f"{validator}: {text}"
     return finding(code, _error_location(error), message, severity)
 

@@ -10,7 +10,7 @@ from typing import Any
 from pxr import Sdf, UsdGeom
 
 from animtool.core.clock import frame_label, span_label
-from animtool.core.errors import Fault, excerpt
+from animtool.core.errors import Fault, counted, excerpt
 from animtool.core.rules import finding
 from animtool.usd.checks.checked_stage import CheckedStage
 from animtool.usd.layers.dependencies import unresolved_arcs
@@ -121,7 +121,8 @@ def check_rates(checked_stage: CheckedStage) -> Iterator[Fault]:
         checked_stage.times(attr) or attr.ValueMightBeTimeVarying()
         for attr in checked_stage.attributes
     ):
-        message = f"no {' and no '.join(unauthored_rates)}, but there is motion"
+        message = "the stage has motion, but its root layer has no "
+        message += " and no ".join(unauthored_rates)
         yield finding("USD252", ROOT_PATH, message)
     yield from _check_layer_rates(checked_stage)
 
@@ -139,12 +140,14 @@ def _check_layer_rates(checked_stage: CheckedStage) -> Iterator[Fault]:
             rate_text = (
                 f"has {layer_rate:g}"
                 if has_rate
-                else f"states none, so {layer_rate:g} is assumed"
+                else f"states none ({layer_rate:g} is assumed)"
             )
             message = (
-                f"the stage has {rate:g} time codes per second, "
-                f"{layer.GetDisplayName()} {rate_text}: its {len(times)} sample times "
-                f"are scaled by {rate / layer_rate:.6g}"
+                f"the stage has {rate:g} time codes per second, but "
+                f"{layer.GetDisplayName()} {rate_text}, so its "
+                f"{counted(len(times), 'sample time')} "
+                f"{'is' if len(times) == 1 else 'are'} scaled by "
+                f"{rate / layer_rate:.6g}"
             )
             yield finding("USD257", ROOT_PATH, message)
 
@@ -175,7 +178,9 @@ def check_range(checked_stage: CheckedStage) -> Iterator[Fault]:
     first_sample = min(span[0] for span in spans.values())
     last_sample = max(span[1] for span in spans.values())
     if unauthored_names:
-        message = f"no {' and no '.join(unauthored_names)}; samples are at "
+        message = (
+            f"the stage has no {' and no '.join(unauthored_names)}, but samples from "
+        )
         message += span_label(first_sample, last_sample)
         yield finding("USD255", ROOT_PATH, message)
         return
@@ -193,9 +198,10 @@ def check_range(checked_stage: CheckedStage) -> Iterator[Fault]:
         first_code, last_code = spans[paths_outside[0]]
         suffix = ""
         if len(paths_outside) != 1:
-            suffix = f", as are those of {len(paths_outside) - 1} more"
+            others = counted(len(paths_outside) - 1, "other attribute")
+            suffix = f"; so do the samples of {others}"
         message = (
-            f"samples are at {span_label(first_code, last_code)}, but the stage's "
+            f"samples run from {span_label(first_code, last_code)}, but the stage's "
             "range is "
         )
         message += f"{span_label(start, end)}{suffix}"
@@ -228,7 +234,7 @@ def _check_off_frame_ends(
         if round(code, 6) not in sample_times
     ]
     if unsampled_ends:
-        message = f"the range {' and '.join(unsampled_ends)}, but samples are at "
+        message = f"the range {' and '.join(unsampled_ends)}, but samples run from "
         yield finding("USD289", ROOT_PATH, message + span_label(*sample_span))
 
 

@@ -139,12 +139,13 @@ def _read_mesh(
     if not len(points) or not len(counts):
         return points, np.zeros((0, 3), np.int64)
     if message := mesh_fault(points, counts, vertex_indices):
-        source.fail(prim, message)
+        source.fail(prim, f"the mesh {message}", "export the mesh again")
     points = points * scale * source.meters_per_unit
     max_coordinate = float(np.abs(points).max())
     if max_coordinate > MAX_NUMBER:
         source.fail(
-            prim, f"has a point at {max_coordinate:g} m; the limit is {MAX_NUMBER:g}"
+            prim,
+            f"the mesh has a point at {max_coordinate:g} m; at most {MAX_NUMBER:g}",
         )
     return points, triangulate(counts, vertex_indices).astype(np.int64)
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, counted
 from animtool.maths import so3
 from animtool.maths.runs import runs
 from animtool.validation.motion.body import hips_of
@@ -149,13 +149,13 @@ def foot_slide(subject: MotionSubject) -> Iterator[Fault]:
     joint = int(contacts.feet[int(speeds[first : last + 1].mean(axis=0).argmin())])
     repeat_text = ""
     if len(slides) > 1:
-        repeat_text = f"; feet slide {len(slides) - 1} more times"
+        repeat_text = f"; feet slide {counted(len(slides) - 1, 'more time')}"
     message = (
         f"planted foot {subject.take.rig.joints[joint].name!r} slides {length:.3g} m "
-        f"from frame {subject.time_text(first)} to {subject.time_text(last)}"
+        f"between frames {subject.time_text(first)} and {subject.time_text(last)}"
         f"{repeat_text}"
     )
-    hint = "hold it with IK, or make the cycle in place"
+    hint = "hold planted feet with IK; ignore this in a cycle without root motion"
     yield subject.fault("MOT208", joint, first, message, hint)
 
 

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from animtool.core.array_types import BoolArray, FloatArray, IntArray
-from animtool.core.errors import Fault, listed
+from animtool.core.errors import Fault, counted, listed
 from animtool.core.record import dataclass
 from animtool.maths.pops import find_rotation_pops, find_translation_pops
 from animtool.validation.motion.body import body_carriers
@@ -126,8 +126,10 @@ def reference_pose(subject: MotionSubject) -> Iterator[Fault]:
         return
     first_code, second_code = subject.time_text(0), subject.time_text(1)
     message = (
-        f"frame {first_code} is an isolated pose: {len(leaving_joints)} joints jump to "
-        f"that of frame {second_code}"
+        f"frame {first_code} is an isolated pose: "
+        f"{counted(len(leaving_joints), 'joint')} "
+        f"{'jumps' if len(leaving_joints) == 1 else 'jump'} between frames "
+        f"{first_code} and {second_code}"
     )
-    hint = f"the pass trim: {{first: {second_code}}} removes it"
+    hint = f"remove it with the pass 'trim: {{first: {second_code}}}'"
     yield subject.fault("MOT204", int(leaving_joints[0]), 0, message, hint)

@@ -77,11 +77,11 @@ def range_without_samples(subject: MotionSubject) -> Iterator[Fault]:
     if range_start > last_code or range_end < first_code or not (is_early or is_late):
         return
     message = (
-        f"the range is {span_label(range_start, range_end)}, but the samples are at "
-        f"{span_label(first_code, last_code)}: the pose is constant for "
+        f"the range is {span_label(range_start, range_end)}, but the samples run from "
+        f"{span_label(first_code, last_code)}, so the pose is constant for "
         f"{max(lead, tail):g} time codes"
     )
-    hint = "let the range be that of the samples, and a glTF begin at time 0"
+    hint = "set the range to that of the samples, or export a glTF from time 0"
     yield subject.fault("MOT217", None, 0, message, hint)
 
 
@@ -151,13 +151,17 @@ def lost_frames(subject: MotionSubject) -> Iterator[Fault]:
         return
     first_step = int(losses[0])
     lost_count = max(1, round(float(step_lengths[first_step])) - 1)
-    repeat_text = f"; so are {len(losses) - 1} more steps" if len(losses) > 1 else ""
+    repeat_text = ""
+    if len(losses) > 1:
+        places = counted(len(losses) - 1, "more place")
+        repeat_text = f"; frames are lost in {places}"
     message = (
-        f"all joints move {step_lengths[first_step]:.0f} times as far from frame "
-        f"{subject.time_text(first_step)} to {subject.time_text(first_step + 1)} as "
-        f"nearby: {counted(lost_count, 'frame')} lost{repeat_text}"
+        f"all joints move {step_lengths[first_step]:.0f} times as far between frames "
+        f"{subject.time_text(first_step)} and {subject.time_text(first_step + 1)} as "
+        f"between the frames around them, so {counted(lost_count, 'frame')} "
+        f"{'was' if lost_count == 1 else 'were'} probably lost{repeat_text}"
     )
-    hint = "record or export the take again, or insert the missing frame"
+    hint = "record or export the take again, or insert the missing frames"
     yield subject.fault("MOT205", None, first_step, message, hint)
 
 
@@ -180,11 +184,15 @@ def _sample_gaps(subject: MotionSubject) -> Iterator[Fault]:
     gap_index = int(gap_indices[0])
     lost_count = max(1, round(float(gap_ratios[gap_index])) - 1)
     other_count = len(gap_indices) - 1
-    repeat_text = f"; there are {other_count} more gaps" if other_count else ""
+    repeat_text = ""
+    if other_count:
+        verb = "is" if other_count == 1 else "are"
+        repeat_text = f"; there {verb} {counted(other_count, 'more gap')}"
     message = (
-        f"no sample between time codes {subject.time_text(gap_index)} and "
-        f"{subject.time_text(gap_index + 1)}, though one is due every {typical_gap:g}: "
-        f"{counted(lost_count, 'sample')} lost{repeat_text}"
+        f"there is no sample between time codes {subject.time_text(gap_index)} and "
+        f"{subject.time_text(gap_index + 1)}, although the others are {typical_gap:g} "
+        f"apart, so {counted(lost_count, 'sample')} "
+        f"{'was' if lost_count == 1 else 'were'} probably lost{repeat_text}"
     )
     hint = "export the take again; USD interpolates across the gap"
     yield subject.fault("MOT205", None, gap_index, message, hint)
@@ -380,12 +388,13 @@ def frozen_frames(subject: MotionSubject) -> Iterator[Fault]:
     first_frame, end_frame = max(frozen_runs, key=lambda run: run[1] - run[0])
     repeat_text = ""
     if len(frozen_runs) > 1:
-        repeat_text = f"; it freezes {len(frozen_runs) - 1} more times"
+        repeat_text = f", and {counted(len(frozen_runs) - 1, 'more time')}"
     message = (
-        f"nothing moves from frame {subject.time_text(first_frame)} to "
-        f"{subject.time_text(end_frame)}, between frames that do{repeat_text}"
+        f"the motion freezes from frame {subject.time_text(first_frame)} to "
+        f"{subject.time_text(end_frame)}{repeat_text}; frames were probably lost and "
+        "the last one repeated"
     )
-    hint = "frames were lost and the last one repeated; record or export the take again"
+    hint = "record or export the take again"
     yield subject.fault("MOT206", None, first_frame, message, hint)
 
 
@@ -397,8 +406,8 @@ def repeated_frames(subject: MotionSubject) -> Iterator[Fault]:
         actual_rate = rate * (1.0 - float(is_repeat.mean()))
         message = (
             f"{np.count_nonzero(is_repeat)} of {subject.frame_count} frames repeat the "
-            f"previous one: the motion has about {actual_rate:.3g} frames per second, "
-            f"the take {rate:g}"
+            f"previous one, so the motion has about {actual_rate:.3g} frames per "
+            f"second, but the take has {rate:g}"
         )
         hint = "export it at its recording rate"
         first_frame = int(np.flatnonzero(is_repeat)[0])

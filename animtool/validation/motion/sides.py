@@ -70,11 +70,12 @@ def zero_scale(subject: MotionSubject) -> Iterator[Fault]:
     names = [subject.take.rig.joints[joint].name for joint in zero_joints.tolist()]
     zero_frames = np.flatnonzero(is_zero.any(axis=1))
     message = (
-        f"{listed([repr(name) for name in names])} scaled to 0 in "
-        f"{counted(len(zero_frames), 'frame')}, first at "
-        f"{subject.time_text(int(zero_frames[0]))}"
+        f"{listed([repr(name) for name in names])} "
+        f"{'is' if len(names) == 1 else 'are'} scaled to 0 in "
+        f"{counted(len(zero_frames), 'frame')}, first in frame "
+        f"{subject.time_text(int(zero_frames[0]))}, so everything below vanishes"
     )
-    hint = "everything below it vanishes; hide meshes with their visibility"
+    hint = "to hide meshes, animate their visibility instead"
     yield subject.fault(
         "MOT218", int(zero_joints[0]), int(zero_frames[0]), message, hint
     )
@@ -181,11 +182,12 @@ def joints_without_influence(subject: MotionSubject) -> Iterator[Fault]:
     if not idle_names:
         return
     message = (
-        f"{counted(len(idle_names), 'joint')} of {len(rig.joints)} "
+        f"{len(idle_names)} of {counted(len(rig.joints), 'joint')} "
         f"{'deforms' if len(idle_names) == 1 else 'deform'} no mesh: "
         f"{listed(idle_names)}"
     )
-    hint = "paint weights for them, or exclude them from the export"
+    pronoun = "it" if len(idle_names) == 1 else "them"
+    hint = f"paint weights for {pronoun}, or exclude {pronoun} from the export"
     yield subject.fault("MOT221", rig.index(idle_names[0]), None, message, hint)
 
 

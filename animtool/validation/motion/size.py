@@ -12,7 +12,7 @@ import numpy as np
 
 from animtool.core.arguments import argument
 from animtool.core.array_types import FloatArray
-from animtool.core.errors import Fault, Severity
+from animtool.core.errors import Fault, Severity, counted
 from animtool.core.quantities import plain_number
 from animtool.motion.quaternion_order import ORDER_HINT, find_swapped_order
 from animtool.retarget.anatomy import find_anatomy
@@ -86,13 +86,17 @@ def stretched_bones(subject: MotionSubject) -> Iterator[Fault]:
         return
     _, joint_index, frame, length, rest_length = max(stretches, key=itemgetter(0))
     other_count = len(stretches) - 1
-    repeat_text = f"; {other_count} more bones change too" if other_count else ""
+    repeat_text = ""
+    if other_count:
+        verb = "changes" if other_count == 1 else "change"
+        repeat_text = f"; {counted(other_count, 'more bone')} {verb} too"
     message = (
         f"the bone to {subject.take.rig.joints[joint_index].name!r} is {length:.3g} m "
         f"long at frame {subject.time_text(frame)}, but {rest_length:.3g} m at "
         f"rest{repeat_text}"
     )
-    hint = "translations replace those of the rest pose; they are not added"
+    hint = "translation keys replace the rest translation and are not added to it; "
+    hint += "remove them if the bone should not stretch"
     yield subject.fault("MOT212", joint_index, frame, message, hint)
 
 
@@ -132,7 +136,7 @@ def mismatched_units(subject: MotionSubject) -> Iterator[Fault]:
     if unit_factor is not None:
         message = (
             f"the bones are {factor_text(unit_factor)} as long as those of the rig at "
-            "rest: the animation uses another unit"
+            "rest, so the animation probably uses another unit"
         )
         hint = "convert the animation, or set metersPerUnit of its layer"
         yield subject.fault("MOT213", None, 0, message, hint)
@@ -270,12 +274,13 @@ def mismatched_up_axis(subject: MotionSubject) -> Iterator[Fault]:
             message, hint = problem.message, problem.hint
             yield subject.fault("MOT214", int(rig.roots[0]), 0, message, hint or "")
         return
-    direction = "upside down" if stance.axis is None else f"along {stance.axis}"
-    percent_of_frames = 100.0 * stance.fraction
-    message = (
-        f"the body is {direction} in {percent_of_frames:.0f}% of the frames; up is "
-        f"{rig.up}"
+    direction = (
+        "is upside down" if stance.axis is None else f"stands along {stance.axis}"
     )
+    percent_of_frames = f"{100.0 * stance.fraction:.0f}%"
+    frames_text = f"{percent_of_frames} of the frames"
+    frames_text = "every frame" if percent_of_frames == "100%" else frames_text
+    message = f"the body {direction} in {frames_text}; the up axis is {rig.up}"
     hint = "rotate the root"
     if stance.axis is not None:
         hint = UP_AXIS_HINTS.get(subject.file_format, "").format(stance.axis)

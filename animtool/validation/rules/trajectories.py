@@ -81,11 +81,13 @@ def missing_markers(subject: MarkersSubject) -> Iterator[Fault]:
     ]
     if missing_texts:
         message = (
-            f"{counted(len(missing_texts), 'marker')} missing from more than "
+            f"{counted(len(missing_texts), 'marker')} "
+            f"{'is' if len(missing_texts) == 1 else 'are'} missing from more than "
             f"{percent_text(MAX_MISSING_FRACTION)} of frames: "
             f"{listed(missing_texts, MAX_LISTED_MARKERS)}"
         )
-        hint = "animtool mocap fill fills gaps; a solve on a rig needs fewer markers"
+        hint = "fill the gaps with animtool mocap fill, or solve on a rig, which "
+        hint += "tolerates missing markers"
         yield subject.fault("MKR201", message, hint)
 
 
@@ -98,12 +100,13 @@ def marker_spikes(subject: MarkersSubject) -> Iterator[Fault]:
         frame = int(subject.markers.clock.start) + largest_spike.first
         marker_names = list(dict.fromkeys(spike.marker for spike in spikes))
         message = (
-            f"{counted(len(spikes), 'spike')} of "
-            f"{listed(marker_names, MAX_LISTED_MARKERS)}; the largest, "
-            f"{1000 * largest_spike.size:.3g} mm, of {largest_spike.marker} at frame "
+            f"{listed(marker_names, MAX_LISTED_MARKERS)} "
+            f"{'has' if len(marker_names) == 1 else 'have'} "
+            f"{counted(len(spikes), 'spike')}; the largest is "
+            f"{1000 * largest_spike.size:.3g} mm, of {largest_spike.marker} in frame "
             f"{frame}"
         )
-        hint = "animtool mocap fill removes them"
+        hint = "remove spikes with animtool mocap fill"
         yield replace(subject.fault("MKR202", message, hint), frame=float(frame))
 
 

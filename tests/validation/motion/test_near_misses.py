@@ -125,7 +125,7 @@ def test_an_eased_hold_is_not_frozen(walking: Take) -> None:
 
 @pytest.mark.parametrize(
     ("starts", "said"),
-    [((20,), "that do"), ((20, 40), "that do; it freezes 1 more times")],
+    [((20,), "24; "), ((20, 40), "24, and 1 more time; ")],
 )
 def test_a_freeze_is_said_with_how_many_there_are(
     walking: Take, starts: tuple[int, ...], said: str
@@ -134,7 +134,7 @@ def test_a_freeze_is_said_with_how_many_there_are(
     for start in starts:
         take = held(start, 4)(take)
     (fault,) = frozen_frames(subject(take))
-    assert fault.message.endswith(said)
+    assert said in fault.message
 
 
 @pytest.mark.parametrize(("share", "found"), [(0.03, []), (0.05, ["MOT209"])])
@@ -357,4 +357,4 @@ def test_eyes_and_ends_need_no_weights(walking: Take) -> None:
         bound = replace(seen, influencing_joints=frozenset({"hips"}))
         faults = list(joints_without_influence(bound))
         assert len(faults) == bool(found)
-        assert all(f"{found} joints of" in fault.message for fault in faults)
+        assert all(f"{found} of " in fault.message for fault in faults)
