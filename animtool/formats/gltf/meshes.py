@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from animtool.core.array_types import FloatArray, IntArray
+from animtool.core.errors import counted
 from animtool.core.record import dataclass
 from animtool.formats.characters.nodes import FileSkin
 from animtool.formats.file_diagnostics import FileDiagnostics
@@ -252,8 +253,8 @@ def _check_vertices(
         if name.startswith("WEIGHTS_") and not (
             accessor.is_normalized or accessor.component_type == FLOAT_COMPONENT
         ):
-            message = f"{name} are integers that are not normalized: "
-            message += "divided by their sum"
+            message = f"the integers of {name} are not normalized; each vertex's "
+            message += "weights are divided by their sum"
             attributes.diagnostics.warn("GLT104", attributes.pointer_to(name), message)
         if vertex_count < 0:
             vertex_count = accessor.count
@@ -408,15 +409,17 @@ def read_skin_weights(
     )
     if has_data and sum_errors.max(initial=0.0) > WEIGHT_SUM_TOLERANCE:
         weight_sum = weight_sums[sum_errors.argmax()]
-        message = f"weights of a vertex have the sum {weight_sum:.6g}: they are "
-        diagnostics.warn("GLT104", pointer, f"{message}normalised")
+        message = f"the weights of a vertex add up to {weight_sum:.6g} instead of 1; "
+        message += "they were normalised"
+        diagnostics.warn(
+            "GLT104", pointer, message, "normalise the weights before exporting"
+        )
     is_unweighted = weight_sums == 0.0
     if is_unweighted.any():
         if has_data:
-            message = f"{int(is_unweighted.sum())} vertices have no weights"
-            diagnostics.warn(
-                "GLT104", pointer, f"{message}: they follow the first joint"
-            )
+            vertices = counted(int(is_unweighted.sum()), "vertex", "vertices")
+            message = f"the first joint moves {vertices} without weights"
+            diagnostics.warn("GLT104", pointer, message, "give each vertex a weight")
         weights[is_unweighted, 0], indices[is_unweighted, 0] = 1.0, 0
         weight_sums = np.where(is_unweighted, 1.0, weight_sums)
     return indices, weights / weight_sums[:, None]
@@ -434,9 +437,10 @@ def _check_duplicate_joints(
     sorted_indices = np.sort(np.where(weights > 0, indices, placeholders), axis=1)
     has_duplicate = (sorted_indices[:, 1:] == sorted_indices[:, :-1]).any(axis=1)
     if has_duplicate.any():
-        message = f"{int(has_duplicate.sum())} vertices have two weights of one joint"
+        vertices = counted(int(has_duplicate.sum()), "vertex", "vertices")
+        message = f"a joint appears twice in the weights of {vertices}"
         pointer = f"{primitive.pointer}/attributes/JOINTS_0"
-        diagnostics.warn("GLT104", pointer, f"{message}: they are added")
+        diagnostics.warn("GLT104", pointer, f"{message}; its weights are added")
 
 
 def build_triangles(
