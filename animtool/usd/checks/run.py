@@ -59,6 +59,10 @@ _CODES_BY_VALIDATOR = {
     "usdValidation:StageMetadataChecker": "USD259",
     "usdPhysicsValidators:PhysicsJointChecker": "USD270",
 }
+_UNAPPLIED_BINDING = re.compile(
+    r"Found a UsdSkelBinding property \((.*?)\), but no SkelBindingAPI applied on the "
+    r"prim <[^>]*>"
+)
 _CODES_BY_FAMILY = {
     "usdValidation": "USD280",
     "usdGeomValidators": "USD281",
@@ -96,6 +100,8 @@ def _usd_error_fault(error: Any) -> Fault:
     text = " ".join(error.GetMessage().split()).rstrip(".")
     # The file is named before the message, and so is what a known code is about.
     text = re.sub(r"Stage with root layer <[^>]*>", "the stage", text)
+    text = re.sub(r",? prim path: \S+$", "", text)
+    text = _UNAPPLIED_BINDING.sub(r"has \1, but SkelBindingAPI is not applied", text)
     message = text if validator in _CODES_BY_VALIDATOR else f"{validator}: {text}"
     return finding(code, _error_location(error), message, severity)
 
