@@ -65,8 +65,8 @@ def check_splines(checked_stage: CheckedStage) -> Iterator[Fault]:
         spline = specs[0].GetSpline()
         if spline.HasRegressiveTangents():
             message = (
-                f"some of its {len(spline.GetKnots())} knots have tangents so long that "
-                "the curve goes back in time"
+                f"some of its {len(spline.GetKnots())} knots have tangents so long "
+                "that the curve goes back in time"
             )
             yield finding("USD274", attr.GetPath(), message)
         # In one layer, samples win; a stronger layer may replace a spline by samples.

@@ -125,7 +125,7 @@ MIMIC = '<mimic joint="{}"/>'
         ("</robot>", '<link name="base"/></robot>', "URD009", "two links.*'base'"),
         ('name="pan"', 'name="hand"', "URD009", "two joints are named 'hand'"),
         ('child link="tool"', 'child link="tol"', "URD010", "'tol'.*mean 'tool'"),
-        ('parent link="base"', 'parent link="tool"', "URD011", "go round"),
+        ('parent link="base"', 'parent link="tool"', "URD011", "form a loop"),
         ('child link="upper"', 'child link="tool"', "URD011", "'tool' has two parents"),
         ("</robot>", '<link name="b"/></robot>', "URD012", "'base', 'b'"),
         ("0 2 0", "0 0 0", "URD013", "'elbow'.*no length"),
