@@ -263,7 +263,7 @@ class Accessors:
             ("type", element_type in ELEMENT_WIDTHS),
         ):
             if not is_known:
-                message = f"unknown {key} {item.values[key]!r}: ignored"
+                message = f"unknown {key} {item.values[key]!r} is ignored"
                 self.diagnostics.warn("GLT106", item.pointer_to(key), message)
                 return None
         view = item.index("bufferView", len(self.views), "bufferView")

@@ -160,7 +160,7 @@ def _check_extensions(container: Container, path: Path) -> None:
     )
     for name, pointer in used_extensions.items():
         if name not in used_names:
-            effect = "" if name in SUPPORTED_EXTENSIONS else ": ignored"
+            effect = "" if name in SUPPORTED_EXTENSIONS else ", so it is ignored"
             message = f"the extension {excerpt(name)} is not declared{effect}"
             diagnostics.warn("GLT106", pointer, message)
 
@@ -177,7 +177,7 @@ def _check_extension_lists(json_root: JsonItem) -> tuple[list[Any], list[Any]]:
     for i, name in enumerate(used_names):
         pointer = f"{json_root.pointer_to('extensionsUsed')}/{i}"
         if not isinstance(name, str):
-            message = f"{value_excerpt(name)} is not an extension name: ignored"
+            message = f"{value_excerpt(name)} is not an extension name and is ignored"
             diagnostics.warn("GLT106", pointer, message)
         elif name in REQUIRED_EXTENSIONS and name not in required_names:
             diagnostics.warn("GLT106", pointer, f"{name} is used, but not required")
@@ -257,7 +257,7 @@ def _check_geometry(gltf: Gltf) -> None:
     _check_scenes(gltf, roots)
     for skin in gltf.skins:
         if skin.skeleton >= 0 and not _is_ancestor(gltf, skin.skeleton, skin.joints[0]):
-            message = f"node {skin.skeleton} is not above the joints: ignored"
+            message = f"node {skin.skeleton} is not above the joints and is ignored"
             gltf.diagnostics.warn("GLT106", f"{skin.location}/skeleton", message)
         if len({roots[joint] for joint in skin.joints}) > 1:
             message = "the joints have no common root: each chain is read"

@@ -156,7 +156,7 @@ def _read_attributes(attributes: JsonItem, accessor_count: int) -> dict[str, int
         if is_supported_attribute(name):
             accessor_indices[name] = attributes.index(name, accessor_count, "accessor")
         elif not is_known_attribute(name):
-            message = f"unknown attribute {name!r}: ignored"
+            message = f"unknown attribute {name!r} is ignored"
             attributes.diagnostics.warn("GLT106", attributes.pointer_to(name), message)
     return accessor_indices
 
@@ -205,7 +205,7 @@ def _check_morph_attributes(target: JsonItem) -> None:
         target.diagnostics.warn("GLT106", target.pointer, message)
     for name in target.values:
         if not is_known_attribute(name):
-            message = f"unknown attribute {name!r}: ignored"
+            message = f"unknown attribute {name!r} is ignored"
             target.diagnostics.warn("GLT106", target.pointer_to(name), message)
 
 
@@ -399,7 +399,7 @@ def read_skin_weights(
         message += f"{joint_count}"
         if has_weight.any():
             diagnostics.fail("GLT006", pointer, message)
-        diagnostics.warn("GLT106", pointer, f"{message}, without weight: ignored")
+        diagnostics.warn("GLT106", pointer, f"{message} has no weight and is ignored")
         indices[is_out_of_range] = 0
     weight_sums = weights.sum(axis=1)
     sum_errors = np.abs(weight_sums - 1.0)

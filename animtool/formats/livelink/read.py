@@ -331,5 +331,8 @@ def _warn_of_unmatched_names(
         if not any(angle.startswith(part) for part in _rotated_parts(recording))
     }
     if incomplete_angles:
-        message = f"{listed(sorted(incomplete_angles))} without the two others: skipped"
+        message = (
+            f"skipped {listed(sorted(incomplete_angles))}: a rotation needs three "
+        )
+        message += "angles"
         file.note("LLF110", message)
