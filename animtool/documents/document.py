@@ -375,8 +375,10 @@ def read_text(path: Path) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        message = f"byte {data[error.start]:#04x} is not UTF-8"
-        hint = "is it a text file? if so, save it as UTF-8"
+        message = (
+            f"expected a text file, but byte {data[error.start]:#04x} is not UTF-8"
+        )
+        hint = "give a text file here, or save this one as UTF-8"
         lines: tuple[int, ...] = (line,)
         if data.startswith((b"\xff\xfe", b"\xfe\xff")):
             message = "the file is UTF-16, as PowerShell's > writes it"
@@ -385,7 +387,7 @@ def read_text(path: Path) -> str:
             signature = signature_of(data[:HEAD_BYTES])
             kind = "binary" if signature is None else signature.format_name
             message, lines = f"is {kind}, not text", ()
-            hint = "is it in the place of another input?"
+            hint = "was it given in place of another input?"
         raise FormatError(Fault("DOC008", message, str(path), lines, hint)) from error
 
 

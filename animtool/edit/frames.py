@@ -61,8 +61,8 @@ def frame_index(clock: Clock, frame: float, argument_name: str) -> int:
         last = clock.start + (clock.count - 1) * clock.step
         nearest = clock.start if index < 0 else last
         raise frame_error(
-            f"{argument_name} is frame {frame:g}, but the take has "
-            f"{float(clock.start):g}-{float(last):g}",
+            f"{argument_name} is {frame:g}, but the take has frames "
+            f"{float(clock.start):g} to {float(last):g}",
             seconds_hint({argument_name: frame}, clock.start, clock.fps, last)
             or _shot_hint(clock, exact_fraction(frame, argument_name), argument_name)
             or f"write {argument(argument_name, f'{float(nearest):g}')}",

@@ -296,8 +296,8 @@ def _percentage_warnings(
     if abs(speed) < MIN_PERCENT_SPEED or clock_before.count < 2:
         return []
     option = argument("speed", f"{speed:g}")
-    message = f"{option} plays {abs(speed):g} times as fast: of {clock_before.count} "
-    message += f"frames {clock_after.count} remain"
+    message = f"{option} plays {abs(speed):g} times as fast, which leaves "
+    message += f"{clock_after.count} of {clock_before.count} frames"
     return [warning("SCN117", message, percent_hint(speed))]
 
 

@@ -534,11 +534,11 @@ def _miss_text(report: GoalReport) -> str:
         amount_texts.append(text)
     if worst_span.angle > 0:
         amount_texts.append(angle_text(float(np.degrees(worst_span.angle))))
-    message = f"{report.name!r} is not reached at {spans_text}: "
+    message = f"{report.name!r} does not reach its target at {spans_text}: it is "
     message += " and ".join(amount_texts)
     message += f" off at frame {frame_label(worst_span.frame)}"
     is_steadier = any(span.status is IkStatus.STEADIER for span in report.spans)
-    return f"{message}, {IkStatus.STEADIER if is_steadier else worst_span.status}"
+    return f"{message} ({IkStatus.STEADIER if is_steadier else worst_span.status})"
 
 
 def _span_text(first: float, last: float) -> str:

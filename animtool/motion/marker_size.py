@@ -50,10 +50,11 @@ def rescaled_text(size: float) -> str:
     """Return text naming the factor that makes a size [m] a person's; empty if none.
 
     >>> rescaled_text(0.0018), rescaled_text(1e9)
-    ('; 1000 times that would be 1.8 m', '')
+    ('; 1000 times that (1.8 m) would fit a person', '')
     """
     for factor in UNIT_FACTORS:
         if is_person_size(size * factor):
             times_text = f"{factor:g} times" if factor > 1 else f"1/{1 / factor:g} of"
-            return f"; {times_text} that would be {length_text(size * factor)}"
+            size_text = length_text(size * factor)
+            return f"; {times_text} that ({size_text}) would fit a person"
     return ""

@@ -169,7 +169,7 @@ def _add_repeated_target(
     entries = [model.joints[i] for i in indices]
     sources = [", ".join(_name_list(entry.source)) for entry in entries]
     targets = {n for entry in model.joints for n in _name_list(entry.target)}
-    message = f"{target_name!r} appears in two entries as a target"
+    message = f"{target_name!r} is the target of two entries"
     other_name = mirrored_name(target_name)
     is_wrong_side = [
         other_name not in targets and _entry_side(entry) == name_side(other_name or "")
@@ -185,7 +185,7 @@ def _add_repeated_target(
     else:
         hint = f"name the joint that follows {sources[1]!r} here, or remove one of them"
     other_line = document.position(("joints", other_index))[0]
-    hint += f"; the other is in line {other_line}"
+    message += f" (the other is in line {other_line})"
     document.add("MAP002", ("joints", index, "target"), message, hint)
 
 

@@ -310,9 +310,14 @@ def _leg_count_warnings(
     if {*stands_on_hands} != {True, False}:
         return []
     legs, other_legs = ("four" if on_hands else "two" for on_hands in stands_on_hands)
-    message = f"{rigs[0].name!r} stands on {legs} legs and {rigs[1].name!r} on "
-    message += f"{other_legs}: arms and front legs are paired, and their poses differ"
-    hint = "choose a rig with the same legs, or pair joints in a map file"
+    drive_text = "the arms drive the front legs"
+    if stands_on_hands[0]:
+        drive_text = "the front legs drive the arms"
+    message = (
+        f"{rigs[0].name!r} has {legs} legs and {rigs[1].name!r} has {other_legs}: "
+    )
+    message += f"{drive_text}, although their poses differ"
+    hint = "choose a rig with the same number of legs, or pair joints in a map file"
     return [warning("MAP109", message, hint)]
 
 

@@ -23,8 +23,8 @@ MIN_TOE_LENGTH = 0.01
 # Fewest and most frames of a check of a block.
 MIN_FRAMES, MAX_FRAMES = 8, 64
 SWAPPED_SIDES_HINT = (
-    "exchange the names of the left and the right joints in the file; if the motion "
-    "itself is mirrored, mirror it where it was made"
+    "swap the names of the left and right joints in the file; if the motion itself is "
+    "mirrored, correct it in the program it came from"
 )
 
 
@@ -43,9 +43,9 @@ class SwappedSides:
     def message(self) -> str:
         """Text with the names of both joints and the count of swapped frames."""
         return (
-            f"{self.left_name!r} is on the right of the body, and {self.right_name!r} "
-            f"on the left, in {self.swapped_count} of "
-            f"{counted(self.frame_count, 'frame')}, by the direction of the feet"
+            f"judging by the feet, {self.left_name!r} is on the right of the body and "
+            f"{self.right_name!r} on the left, in {self.swapped_count} of "
+            f"{counted(self.frame_count, 'frame')}"
         )
 
 
@@ -111,8 +111,8 @@ def swapped_sides_warning(
     if swap is None:
         return None
     message = (
-        f"{swap.left_name!r} is on the right of the body, and {swap.right_name!r} on "
-        "the left, by the direction of the feet"
+        f"judging by the feet, {swap.left_name!r} is on the right of the body and "
+        f"{swap.right_name!r} on the left"
     )
     hint = SWAPPED_SIDES_HINT
     if file_format == "BVH":

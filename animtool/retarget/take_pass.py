@@ -268,8 +268,8 @@ def retarget_stream(
     retargeting.ignored_errors = [] if fault is None else [fault]
     contacts = () if options.free_feet else retargeting.contact_frames.contacts
     if contacts and not any(foot_contacts.any.any() for foot_contacts in contacts):
-        message = "no foot is planted in any frame: none is held"
-        hint = "does the take show a person with legs, for more than two frames?"
+        message = "no foot is planted in any frame, so no foot is held"
+        hint = "is it a character with legs, and is the take longer than two frames?"
         notices.append(Fault("MAP007", message, hint=hint, severity=Severity.NOTE))
     return retargeting, joint_map, notices
 

@@ -36,8 +36,9 @@ def mesh_size_texts(
     ratio = size / rig_size
     if 1.0 / MAX_SIZE_RATIO <= ratio <= MAX_SIZE_RATIO:
         return None
-    message = f"{name!r} measures {size:.3g} m, but the joints at rest {rig_size:.3g} m"
-    hint = "points use the file's unit, as joints do; or write geom_bind"
+    message = f"{name!r} is {size:.3g} m across, but the joints at rest span "
+    message += f"{rig_size:.3g} m"
+    hint = "write points in the file's unit, like the joints, or add geom_bind"
     for factor in UNIT_FACTORS:
         if FITTING_RATIOS[0] <= ratio / factor <= FITTING_RATIOS[1]:
             hint = f"divide its points by {factor:g}: {hint}"

@@ -112,7 +112,7 @@ def test_tallies_become_errors() -> None:
         ({"outside": 2}, ["CAM107"], ["2 pixels of camera 'a'", "image of 640 x 480"]),
         (
             {"shifts": (PoseShift(2, 5, 0.7),), "outliers": 0.5},
-            ["CAM101"], ["frames 3 to 5", "it is excluded there"],
+            ["CAM101"], ["frames 3 to 5", "it is excluded in these frames"],
         ),
         (
             {"shifts": (PoseShift(0, 10, 0.7, PoseChange(0.1, 0.2, 0.3)),)},

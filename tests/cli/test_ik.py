@@ -114,9 +114,9 @@ def test_a_clip_keeps_the_controls_of_the_poses_that_it_starts_from(
 def test_what_is_out_of_reach_is_named(place: Path) -> None:
     done = run(place, "-t", "far.targets.yaml", "-o", "far.usda")
     assert done.code == 0
-    warned = "far.targets.yaml:8:3: warning: IK101 goals[1]: 'leg_r' is not reached at "
-    assert f"{warned}frames 1 to 12" in done.stderr
-    assert ": 2.46 m and 19° off at frame " in done.stderr
+    warned = "far.targets.yaml:8:3: warning: IK101 goals[1]: 'leg_r' does not reach "
+    assert f"{warned}its target at frames 1 to 12" in done.stderr
+    assert ": it is 2.46 m and 19° off at frame " in done.stderr
     assert (place / "far.usda").exists()
 
 

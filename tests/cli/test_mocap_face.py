@@ -106,7 +106,7 @@ def test_names_of_sides_may_be_swapped(tmp_path: Path, landmarks: Path) -> None:
     done = animtool("mocap", "face", landmarks, *RIG, *own_words)
     assert done.code == 0, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if "FAC112" in line]
-    assert "negate x of the landmarks, or exchange the names of left" in line
+    assert "negate x of the landmarks, or swap the names of left" in line
 
 
 @pytest.mark.slow

@@ -87,7 +87,7 @@ def without_fingers() -> str:
 TAKES = {
     "offsets": (without_offsets, "MAP102", "joints are mapped by name only"),
     "two": (twice, "MAP103", "'Hips_2' are skipped"),
-    "short": (of_two_frames, "MAP007", "none is held"),
+    "short": (of_two_frames, "MAP007", "no foot is held"),
     "legs": (
         without_legs,
         "MAP101",

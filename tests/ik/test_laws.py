@@ -667,7 +667,7 @@ def test_what_is_missed_is_told_in_lengths_and_angles() -> None:
     (found,) = missed_notices(told(), [GoalReport("hand", "elbow", (3, 4), (), rows)])
     assert found.code == "IK101"
     assert found.message.startswith(
-        "'hand' is not reached at frames 10 to 12, frame 14: "
+        "'hand' does not reach its target at frames 10 to 12, frame 14: "
     )
     assert "30" in found.message
     assert found.hint is None

@@ -70,7 +70,10 @@ def test_notices_name_goal_frames_and_distance(solved: TakeIk) -> None:
     assert (notice.code, notice.severity) == ("IK101", Severity.WARNING)
     assert (notice.path, notice.where) == (str(solved.tracks.path), "goals[0]")
     assert (notice.lines[0], notice.column) == solved.tracks.goals[0].location
-    assert "'leg_l' is not reached at frames 11 to 21: 2." in notice.message
+    assert (
+        "'leg_l' does not reach its target at frames 11 to 21: it is 2."
+        in notice.message
+    )
 
 
 @pytest.mark.parametrize("root", ["", "root: hip_l, "])

@@ -17,7 +17,7 @@ from animtool.rig.surfaces import surfaces_of
     [
         (94.0, "divide its points by 100"),
         (940.0, "divide its points by 1000"),
-        (0.01, "points use"),
+        (0.01, "write points"),
         (60.0, None),
         (0.09, None),
     ],

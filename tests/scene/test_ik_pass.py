@@ -55,7 +55,7 @@ def test_what_is_missed_is_a_warning(place: Path) -> None:
     (place / "feet.targets.yaml").write_text(far)
     done = animtool("bake", place / "held.scene.yaml")
     assert done.code == 0
-    assert "'RightHand' is not reached at frames" in done.stderr
+    assert "'RightHand' does not reach its target at frames" in done.stderr
     done = animtool("bake", place / "held.scene.yaml", "--strict", "--overwrite")
     assert done.code == 1
 

@@ -60,8 +60,8 @@ def delay_warnings(
         if improvement < MIN_DELAY_IMPROVEMENT or best_error > max_error:
             continue
         offset = f"{counted(abs(delay), 'frame')} {'late' if delay > 0 else 'early'}"
-        message = f"camera {camera.name!r} is likely {offset}: there its points are "
-        message += f"{improvement:.1f} times nearer to those of the others"
+        message = f"camera {camera.name!r} is probably {offset}: shifted by {-delay}, "
+        message += f"its points match the other cameras {improvement:.1f} times better"
         hint = f"shift its frames by {-delay}, or synchronise the cameras"
         path = observations.path or None
         fault = Fault("CAM115", message, path, (), hint, Severity.WARNING)

@@ -175,14 +175,15 @@ def camera_notices(
             matching_name = repr(shift.change.matching)
             text += f", and the calibration of {matching_name} fits them within "
             text += f"{shift.change.error_px:.2g} px"
-            hint = f"exchange the points or the calibrations of {report.name!r} and "
+            hint = f"swap the points or the calibrations of {report.name!r} and "
             hint += matching_name
         elif shift.change is not None:
             text += f", and {shift.change} would explain it"
         if shift.kept:
             text += "; it is kept: without it, the others do not agree better"
         else:
-            text += "; it is kept" if is_kept else "; it is excluded there"
+            text += "; it is " + ("kept" if is_kept else "excluded")
+            text += "" if is_kept or is_every_frame else " in these frames"
         yield warning("CAM101", text, hint)
     if report.disagrees:
         worst = max(report.disagrees, key=lambda disagreement: disagreement.outliers)

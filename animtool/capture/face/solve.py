@@ -389,22 +389,23 @@ def _notices(
     used_counts = is_used.sum(axis=0)
     misplaced_counts = (is_used & (robust_weights < MISPLACED_FRACTION)).sum(axis=0)
     is_misplaced = misplaced_counts > MISPLACED_FRACTION * np.maximum(used_counts, 1)
-    for names, verbs, problem in (
+    landmark_problems = (
         (list(compress(model.names, used_counts == 0)), ("is", "are"), "never seen"),
         (
             list(compress(model.names, is_misplaced)),
             ("does", "do"),
             "not match the face in most frames",
         ),
-    ):
+    )
+    for names, verbs, problem in landmark_problems:
         if names:
             verb = verbs[len(names) > 1]
             message = f"{counted(len(names), 'landmark')} {verb} {problem}: "
             fault = names_fault("FAC105", message, names, severity=Severity.WARNING)
             notices.append(fault)
     if head_points is not None and is_misplaced.any():
-        hint = _swap_hint(model, head_points[is_usable], is_misplaced)
-        notices[-1] = replace(notices[-1], hint=hint)
+        swap_hint = _swap_hint(model, head_points[is_usable], is_misplaced)
+        notices[-1] = replace(notices[-1], hint=swap_hint)
     return notices
 
 

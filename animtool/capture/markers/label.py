@@ -234,7 +234,7 @@ def label_points(
     tracklets = track_points(cloud.positions, rate)
     marker_of_first_run = _name_first_runs(cloud, tracklets, rest_shape)
     if marker_of_first_run is None:
-        message = f"no group of points moves like a segment of {static_name}"
+        message = f"no group of points moves like any segment of {static_name}"
         hint = (
             f"does {static_name} show the same subject, with the same markers and unit?"
         )

@@ -237,9 +237,11 @@ def solve_markers(
     check_units(model, sample, template)
     notices = [] if template.document is None else list(template.document.notices)
     if match.missing:
-        message = f"the capture lacks {counted(len(match.missing), 'marker')} of the "
-        message += f"template: {listed(match.missing, 8)}"
+        verb = "is" if len(match.missing) == 1 else "are"
+        message = f"{counted(len(match.missing), 'marker')} of the template {verb} "
+        message += f"missing from the capture: {listed(match.missing, 8)}"
         hint = _renamed_hint(match)
+        hint = hint or "label them in the capture, or remove them from the template"
         notices.append(warning("SOL103", message, hint))
     notices += static_notices(model.template.names, positions)
     noise = estimate_noise(model, sample, options.noise)

@@ -188,8 +188,10 @@ class _HierarchyParser:
             words and words[0].upper() not in _WORDS_AFTER_OFFSET
         ):
             count = len(number_texts) + sum(word not in "{}" for word in words)
-            message = f"OFFSET has {counted(count, 'number')} instead of 3"
-            self.lines.fail("BVH006", message, self._block_label(block))
+            message = f"the OFFSET of {self._block_name(block)} has "
+            self.lines.fail(
+                "BVH006", f"{message}{counted(count, 'number')} instead of 3"
+            )
         components = tuple(self._parse_number(text) for text in number_texts)
         offset = (components[0], components[1], components[2])
         block.has_offset = True
@@ -250,9 +252,12 @@ class _HierarchyParser:
             self.lines.fail("BVH007", "no joint has a channel")
 
     def _block_label(self, block: _OpenBlock) -> str:
+        return f"{self._block_name(block)}, line {block.line}"
+
+    def _block_name(self, block: _OpenBlock) -> str:
         block_kind = "End Site of" if block.is_end_site else "joint"
         name = excerpt(self.joints[block.joint_index].name)
-        return f"{block_kind} {name}, line {block.line}"
+        return f"{block_kind} {name}"
 
     def _missing_braces_hint(self) -> str | None:
         if not self.open_blocks:
@@ -307,7 +312,7 @@ def _duplicate_name_notices(joints: list[BvhJoint], path: str) -> list[Fault]:
     lines_by_name: dict[str, list[int]] = {}
     for joint in joints:
         lines_by_name.setdefault(joint.name, []).append(joint.line)
-    notices, hint = [], "a number is appended to the later ones"
+    notices, hint = [], "rename them; until then, the later ones get a number"
     for name, line_numbers in lines_by_name.items():
         if len(line_numbers) > 1:
             message = f"joint name {excerpt(name)} appears {len(line_numbers)} times, "

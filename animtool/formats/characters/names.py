@@ -40,8 +40,8 @@ def renamed_joints_notice(
     """Return a note about joints whose names differ from the file's."""
     if not renamed_joints:
         return []
-    changes = [f"{excerpt(old)} is {new!r}" for old, new in renamed_joints]
-    message = f"{counted(len(renamed_joints), 'joint')} renamed to make names unique: "
+    changes = [f"{excerpt(old)} to {new!r}" for old, new in renamed_joints]
+    message = f"renamed {counted(len(renamed_joints), 'joint')} to make names unique: "
     message += listed(changes, MAX_LISTED_JOINTS)
     return [Fault(code, message, path, severity=Severity.NOTE)]
 

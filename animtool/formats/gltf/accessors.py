@@ -179,7 +179,8 @@ class Accessors:
         max_numbers = MAX_NUMBERS + NUMBERS_PER_BYTE * opened_bytes
         if self._number_count > max_numbers or self._zero_count > MAX_ZERO_NUMBERS:
             message = f"{accessor.count} elements need more bytes than the file has"
-            self.diagnostics.fail("GLT013", accessor.pointer, message)
+            hint = "export the file again"
+            self.diagnostics.fail("GLT013", accessor.pointer, message, hint)
 
     def _dense_values(self, accessor: Accessor) -> AnyArray:
         dtype = COMPONENT_TYPES[accessor.component_type]

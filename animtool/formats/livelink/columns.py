@@ -170,7 +170,7 @@ class _RecordingTable:
                 cells.pop()
         if numbered_rows and len(numbered_rows[-1][1]) < column_count:
             line_number, cells = numbered_rows.pop()
-            message = f"the last row ends at column {len(cells)}: skipped"
+            message = f"the last row ends at column {len(cells)} and is skipped"
             file.warn("LLF103", message, None, line_number)
         faults = []
         for line_number, cells in numbered_rows:

@@ -227,10 +227,13 @@ def _warn_of_values(
             "hold": "held from the frame before",
             "close": "removed, which moves later frames up",
         }[dropped]
-        message = f"{len(dropped_frames)} of {timing.count} frames have no "
-        message += f"row: {frame_treatment}; from the first, frames "
+        verbs = ("has", "was") if len(dropped_frames) == 1 else ("have", "were")
+        message = f"{len(dropped_frames)} of {timing.count} frames {verbs[0]} no row "
+        message += f"and {verbs[1]} {frame_treatment}: "
         message += listed(dropped_frames.tolist(), MAX_LISTED_SHAPES)
-        hint = f"choose with {argument('source.dropped')}: interpolate, hold or close"
+        message += " (the first frame is 0)"
+        hint = f"to change this, set {argument('source.dropped')} to interpolate, hold "
+        hint += "or close"
         file.warn("LLF101", message, hint)
     for values, names in (
         (recording.weights, recording.shape_names),
@@ -243,9 +246,9 @@ def _warn_of_values(
             if is_missing[:, column_index].all():
                 value_treatment = "set to 0"
             message = (
-                f"{names[column_index]} has no value in {counted(len(lines), 'row')}: "
+                f"{names[column_index]} has no value in {counted(len(lines), 'row')}; "
+                f"it is {value_treatment} there"
             )
-            message += value_treatment
             file.warn("LLF102", message, None, *lines[:MAX_LISTED_SHAPES])
     _warn_of_degrees(recording)
     # Values are kept: some rigs exceed 1, and percentages are detected.
@@ -328,5 +331,8 @@ def _warn_of_unmatched_names(
         if not any(angle.startswith(part) for part in _rotated_parts(recording))
     }
     if incomplete_angles:
-        message = f"{listed(sorted(incomplete_angles))} without the two others: skipped"
+        message = (
+            f"skipped {listed(sorted(incomplete_angles))}: a rotation needs three "
+        )
+        message += "angles"
         file.note("LLF110", message)

@@ -97,8 +97,11 @@ def find_row_frames(
     unsorted_indices = np.flatnonzero(np.diff(time_order) < 0)
     if len(unsorted_indices):
         unsorted_lines = line_numbers[time_order[unsorted_indices + 1]].tolist()
-        message = f"{counted(len(unsorted_lines), 'row')} not in order of time: sorted"
-        file.warn("LLF104", message, None, *unsorted_lines[:MAX_LISTED_LINES])
+        verbs = ("was", "has") if len(unsorted_lines) == 1 else ("were", "have")
+        message = f"{counted(len(unsorted_lines), 'row')} {verbs[0]} out of time order "
+        message += f"and {verbs[1]} been sorted"
+        hint = "check that the file is not two takes joined together"
+        file.warn("LLF104", message, hint, *unsorted_lines[:MAX_LISTED_LINES])
     labels, fractions = (
         labels[time_order] - labels[time_order[0]],
         fractions[time_order],
@@ -114,9 +117,14 @@ def find_row_frames(
     is_first = np.concatenate([[True], np.diff(frames) > 0])
     repeated_lines = sorted(line_numbers[time_order[~is_first]].tolist())
     if repeated_lines:
-        message = f"{counted(len(repeated_lines), 'row')} for a frame that already has "
-        message += f"one: skipped, lines {listed(repeated_lines, MAX_LISTED_LINES)}"
-        file.warn("LLF105", message, None, *repeated_lines[:MAX_LISTED_LINES])
+        is_single = len(repeated_lines) == 1
+        message = f"{counted(len(repeated_lines), 'row')} "
+        message += "repeats" if is_single else "repeat"
+        message += " a frame that already has a row, and "
+        message += "was skipped (line " if is_single else "were skipped (lines "
+        message += f"{listed(repeated_lines, MAX_LISTED_LINES)})"
+        hint = "delete them, or split the file if it holds two faces or takes"
+        file.warn("LLF105", message, hint, *repeated_lines[:MAX_LISTED_LINES])
     return RecordingFrames(rate, step, time_order[is_first], frames[is_first])
 
 

@@ -122,7 +122,7 @@ def _loss_warnings(
     lost_contents += [track.path for track in take.tracks]
     lost_contents += list(take.motion.points)
     if lost_contents:
-        message = f"a MOT cannot hold {listed(lost_contents)}: skipped"
+        message = f"skipped what a MOT cannot hold: {listed(lost_contents)}"
         hint = "write USD too, which can hold them"
         notices.append(Fault("MOF109", message, None, (), hint, warning))
     return notices

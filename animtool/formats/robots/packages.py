@@ -77,7 +77,9 @@ class PackageFolders:
         if scheme == "file":
             return self._inside_project(Path("/" + uri_path.lstrip("/")), name)
         if scheme not in _PACKAGE_SCHEMES:
-            raise OutsideError(f"{scheme}:// is of a network, and is never opened")
+            raise OutsideError(
+                f"{scheme}:// is a network address, which is never opened"
+            )
         # Some writers add a third slash.
         package, _, relative_path = uri_path.lstrip("/").partition("/")
         candidates = [
@@ -186,8 +188,8 @@ class PackageFolders:
         except (OSError, RuntimeError, ValueError) as error:
             raise OutsideError(f"{name!r} leads nowhere: {error}") from error
         if not any(real_path.is_relative_to(root) for root in self.roots):
-            roots = ", ".join(dict.fromkeys(map(str, self.roots)))
-            raise OutsideError(f"it leads out of {roots}", real_path)
+            roots = " and ".join(f"'{root}'" for root in dict.fromkeys(self.roots))
+            raise OutsideError(f"it is outside of {roots}", real_path)
         return real_path if exists(real_path) else None
 
 

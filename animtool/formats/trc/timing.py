@@ -116,11 +116,13 @@ def _check_times(
         previous_label = _frame_label(numbers[row - 1], int(line_numbers[row - 1]))
         is_repeated = numbers[row] == numbers[row - 1] or times[row] == times[row - 1]
         relation = "repeats" if is_repeated else "does not come after"
-        message = f"{row_label}, at {times[row]:g} s, {relation} {previous_label}, at "
-        message += f"{times[row - 1]:g} s"
+        message = f"{row_label} ({times[row]:g} s) {relation} {previous_label} "
+        message += f"({times[row - 1]:g} s)"
     message += f"; {counted(other_count, 'other row')} too" if other_count else ""
-    hint = f"repair the rows, or set the rate with {argument('source.fps')} to place "
-    hint += "them by Frame#"
+    hint = f"correct the times, or set the rate with {argument('source.fps')} to "
+    hint += "place rows by Frame#"
+    if row and numbers[row] == numbers[row - 1]:
+        hint = "delete one of the rows, or correct its Frame# and Time"
     raise file.error("TRC003", message, hint, int(line_numbers[row]))
 
 
@@ -178,13 +180,13 @@ def _warn_of_gaps(
     gap_indices = np.flatnonzero(np.diff(frames) > 1)
     first_index = int(gap_indices[0])
     gap_length = int(frames[first_index + 1] - frames[first_index]) - 1
-    message = f"{counted(gap_length, 'missing frame')} ({gap_length / rate:.4g} s) "
-    message += f"before line {line_numbers[first_index + 1]}"
+    message = f"{counted(gap_length, 'frame')} ({gap_length / rate:.4g} s) "
+    message += "is" if gap_length == 1 else "are"
+    message += f" missing before line {line_numbers[first_index + 1]}"
     if len(gap_indices) > 1:
         message += f", and {missing_count - gap_length} in "
         message += f"{counted(len(gap_indices) - 1, 'other gap')}"
-    message += "; markers are missing there"
-    hint = "mocap fill computes positions in gaps"
+    hint = "fill the gaps with animtool mocap fill"
     file.warn("TRC105", message, hint, int(line_numbers[first_index + 1]))
 
 

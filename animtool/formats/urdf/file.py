@@ -145,8 +145,9 @@ def _warn_about_degrees(root: XmlElement, diagnostics: XmlDiagnostics) -> None:
     if not degree_angles:
         return
     element, name, value = degree_angles[0]
-    message = f"{counted(len(degree_angles), 'angle')} beyond two revolutions in "
-    message += f"radians, such as {name} {value:g} of <{element.tag}>"
+    verb = "is" if len(degree_angles) == 1 else "are"
+    message = f"{counted(len(degree_angles), 'angle')} {verb} over two revolutions, "
+    message += f'such as {name}="{value:g}" in <{element.tag}>'
     hint = f"URDF angles are in radians: write {math.radians(value):.6g} for {value:g}°"
     diagnostics.add("URD111", element, message, hint, severity=Severity.WARNING)
 
@@ -187,9 +188,9 @@ def _read_joint(
         return
     location = element_label("joint", name)
     if name in joints:
-        message = f"two joints are named {excerpt(name)}"
-        hint = f"the first is in line {joints[name].element.line}"
-        diagnostics.add("URD009", element, message, hint, joint=name)
+        message = f"two joints are named {excerpt(name)} (the first is in line "
+        message += f"{joints[name].element.line})"
+        diagnostics.add("URD009", element, message, "rename one of them", joint=name)
         return
     kind_names = ", ".join(UrdfJointKind)
     type_name = require_text(
@@ -305,9 +306,9 @@ def _read_link(
         return
     link_label = element_label("link", name)
     if name in links:
-        message = f"two links are named {excerpt(name)}"
-        hint = f"the first is in line {links[name].element.line}"
-        diagnostics.add("URD009", element, message, hint)
+        message = f"two links are named {excerpt(name)} (the first is in line "
+        message += f"{links[name].element.line})"
+        diagnostics.add("URD009", element, message, "rename one of them")
         return
     link = links[name] = UrdfLink(element, name)
     inertial = find_single_child(element, "inertial", link_label, diagnostics)

@@ -57,7 +57,7 @@ def find_mesh_files(
             file_path = folders.find(name)
         except OutsideError as error:
             outside_files.add((link.name, name))
-            message = f"its mesh {excerpt(name, 100)} is refused: {error}"
+            message = f"its mesh {excerpt(name, 100)} is not read: {error}"
             suggestion = folders.suggest(name)
             hint = error.hint(path) if suggestion is None else f"write {suggestion}"
             location = element_label("link", link.name)

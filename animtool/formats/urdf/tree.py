@@ -62,7 +62,10 @@ def _check_roots(
     if len(roots) > 1:
         names_text = listed([excerpt(name) for name in roots])
         message = f"{len(roots)} links have no parent: {names_text}"
-        hint = "a robot has one root: join the others to it by joints"
+        hint = "a robot must have one root: connect the other "
+        hint += (
+            "link to it with a joint" if len(roots) == 2 else "links to it with joints"
+        )
         second_root = file.links[roots[1]].element
         diagnostics.add("URD012", second_root, message, hint)
     reachable = set(roots)
@@ -131,13 +134,13 @@ def resolve_mimics(file: UrdfFile, diagnostics: XmlDiagnostics) -> dict[str, Mim
         cycle = names[names.index(mimic.joint) :]
         cycle = cycle if len(cycle) > 1 else [mimic.joint, mimic.joint]
         if not reported_joints.intersection(cycle):
-            message = f"joints mimic each other: {cycle_text(cycle)}"
+            message = f"joints mimic each other in a loop: {cycle_text(cycle)}"
             add_joint_fault(
                 diagnostics,
                 "URD015",
                 file.joints[cycle[0]],
                 message,
-                "one must move itself",
+                "remove <mimic> from one of them",
             )
         reported_joints.update(cycle)
     return resolved_mimics

@@ -355,20 +355,19 @@ def _mirror_warnings(
         return []
     format_distance = pixels_text if camera is not None else length_text
     message = (
-        f"landmarks fit the face within {format_distance(error)}, and mirrored within "
+        f"the landmarks fit the face within {format_distance(error)}, but within "
+        f"{format_distance(mirrored_error)} when mirrored"
     )
-    message += format_distance(mirrored_error)
     hint = "negate x of the landmarks"
     if camera is not None:
-        hint = "write the width of the image minus u"
+        hint = "replace each u with the width of the image minus u"
         if _is_upside_down(rig_face, points, up):
             message += "; the face is upside down in the image"
-            hint = (
-                "write the height of the image minus v, as v counts from the upper edge"
-            )
+            hint = "replace each v with the height of the image minus v, as v counts "
+            hint += "from the upper edge"
             return [warning("FAC112", message, hint)]
     if pair_sides(rig_face.names).left:
-        hint += ", or exchange the names of left and right landmarks"
+        hint += ", or swap the names of left and right landmarks"
     return [warning("FAC112", message, hint)]
 
 

@@ -110,7 +110,9 @@ def _scale_warnings(
         return
     unit, system_unit = unit_name(rig.meters_per_unit), _UNIT_NAMES[length_unit]
     message = f"{system.name} {description}, but the joints of {rig.name!r} span "
-    message += f"{plain_number(joint_size)} m; systems use {system_unit}, this rig is "
+    message += (
+        f"{plain_number(joint_size)} m; systems use {system_unit}, but the rig is "
+    )
     message += f"in {unit}"
     hint = _unit_hint(unit) or f"write its lengths in {system_unit}"
     yield warning("SIM169", message, hint)
@@ -173,10 +175,11 @@ def _pin_warnings(
     unit = unit_name(rig.meters_per_unit)
     message = f"the pinned end is {plain_number(min_distance, 4)} m from {description}"
     message += f", but the joints of {rig.name!r} span {plain_number(joint_size)} m"
-    hint = "place it near its pin, or give the pin an offset"
+    hint = "move the pinned end to its pin, or give the pin an offset"
     if unit != length_unit:
-        message += f"; systems use {_UNIT_NAMES[length_unit]}, this rig is in {unit}"
-        hint = "; or ".join(filter(None, [_unit_hint(unit), "place it near its pin"]))
+        message += f"; systems use {_UNIT_NAMES[length_unit]}, but the rig is in {unit}"
+        remedies = [_unit_hint(unit), "move the pinned end to its pin"]
+        hint = ", or ".join(filter(None, remedies))
     yield warning("SIM168", message, hint, pinned_points.where)
 
 
@@ -184,7 +187,7 @@ def _unit_hint(unit: str) -> str:
     """Return a hint to set a unit in the scene; empty if the unit has no name."""
     if unit not in {candidate.value for candidate in LengthUnit}:
         return ""
-    return f"units: {{length: {unit}}} in the scene uses the rig's unit"
+    return f"write units: {{length: {unit}}} in the scene"
 
 
 def _rig_sizes(rig: Rig) -> tuple[float, float]:

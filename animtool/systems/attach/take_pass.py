@@ -138,7 +138,7 @@ def simulation_notices(simulation: AttachSimulation) -> list[Fault]:
         is_surface = isinstance(actor.body, SurfaceBody)
         is_intact = is_surface and not actor.meter.pierced.value
         notices += piercing_notices(
-            actor.grid.piercing, f"the cloth {name}", is_intact=is_intact
+            actor.grid.piercing, f"the cloth {name!r}", is_intact=is_intact
         )
         if is_surface:
             notices += actor.meter.notices(name)

@@ -184,9 +184,11 @@ def clear_starts(
     is_moved = distances > OVERLAP_TOLERANCE * agents.radii
     if is_moved.any():
         first = agents.label(int(np.argmax(is_moved)))
+        verb = "was" if is_moved.sum() == 1 else "were"
         message = f"{counted(int(is_moved.sum()), 'agent')} would start in an obstacle "
-        message += f"or off the ground, {first} first: moved out"
-        notices.append(warning("SIM148", message, "begin elsewhere"))
+        message += f"or off the ground and {verb} moved; the first is {first}"
+        hint = "move the start region of the population"
+        notices.append(warning("SIM148", message, hint))
     return positions, notices
 
 
@@ -201,7 +203,7 @@ def _goal_obstacle(
     max_depth = float(depths.max(initial=-np.inf))
     if max_depth > 0:
         name = obstacles.colliders.label(int(depths.argmax()))
-        problem = f"inside the collider {name}, {length_text(max_depth, 2)} deep"
+        problem = f"{length_text(max_depth, 2)} inside the collider {name}"
         return problem, "move the goal or the collider"
     if not is_blocked(grid, position)[0]:
         return None
@@ -209,8 +211,8 @@ def _goal_obstacle(
     if -max_depth > max_radius:
         return "off the ground, or on a slope that is too steep", "move the goal"
     name = obstacles.colliders.label(int(depths.argmax()))
-    problem = f"{length_text(-max_depth, 2)} from the collider {name}, nearer than the "
-    return f"{problem}radius of agents, {length_text(max_radius)}", "move the goal"
+    problem = f"{length_text(-max_depth, 2)} from the collider {name}, less than the "
+    return f"{problem}agents' radius of {length_text(max_radius)}", "move the goal"
 
 
 def _nearest_reachable(

@@ -190,14 +190,18 @@ class ContactMeter:
         """Peaks of depth and strain as text; empty if there was neither."""
         phrases = []
         if self.depth.value > MIN_DEPTH:
-            depth_text = f"{length_text(self.depth.value, 2)} deep in what it touches"
-            phrases.append(f"{depth_text} ({self.depth.text})")
+            depth_text = length_text(self.depth.value, 2)
+            phrases.append(f"{depth_text} inside {self._obstacle} ({self.depth.text})")
         if self.strain.value > 0:
             quantile_text = percent_text(self.strain_99.value)
             phrases.append(f"99th percentile of strain {quantile_text}")
             strain_text = percent_text(self.strain.value)
             phrases.append(f"largest strain {strain_text} ({self.strain.text})")
         return ", ".join(phrases)
+
+    @property
+    def _obstacle(self) -> str:
+        return "a collider" if self.uses_seconds else "the skin or a collider"
 
     @property
     def starts_inside(self) -> bool:
@@ -209,7 +213,7 @@ class ContactMeter:
         notices, remedy = [], "a shorter step" if self.uses_seconds else "a higher rate"
         if self.depth.value > VISIBLE_DEPTH:
             depth_text = length_text(self.depth.value, 2)
-            message = f"{label} is {depth_text} deep in what it touches "
+            message = f"{label} is {depth_text} inside {self._obstacle} "
             message += f"({self.depth.text})"
             hint = f"use a larger radius or {remedy}, or a slower motion"
             if self.starts_inside:
@@ -222,8 +226,8 @@ class ContactMeter:
             return notices  # the others result from it
         if self.pierced.value:
             pairs_text = counted(int(self.pierced.value), "pair")
-            message = f"{pairs_text} of edges and triangles of {label} and what it "
-            message += f"touches intersect ({self.pierced.time_text})"
+            message = f"{label} intersects itself or {self._obstacle}: {pairs_text} of "
+            message += f"an edge and a triangle ({self.pierced.time_text})"
             hint = "use a larger radius or thickness, or a finer mesh"
             notices.append(warning("SIM181", message, hint))
         is_strained = self.strain.value > VISIBLE_STRAIN

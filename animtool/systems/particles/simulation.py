@@ -322,9 +322,9 @@ class ParticleSimulation:
             collider.name or f"sheets[{i}]" for i, collider in enumerate(setup.sheets)
         ]
         message = f"{label} is inside {collider_names[collider_index]!r} at {t:g} s, "
-        message += "and cannot be pushed out at once"
-        hint = "particles start inside, or colliders close in on them from several "
-        yield warning("SIM123", message, f"{hint}sides", self.setup.name)
+        message += "and cannot be pushed out in one step"
+        hint = "move emitters out of colliders, and keep gaps between closing colliders"
+        yield warning("SIM123", message, hint, self.setup.name)
 
     def _remove_particles(self, state: ParticleRunState, t: float) -> ParticleRunState:
         """Return a state without particles that died or are in kill regions."""
@@ -354,7 +354,7 @@ class ParticleSimulation:
 
     def _empty_notice(self, t: float) -> Fault:
         """Return a warning that no particles exist until a time [s] (SIM188)."""
-        message = "there are no particles in any frame"
+        message = "no frame has any particles"
         emitters = self.setup.emitters
         covering_regions = [
             k
@@ -409,9 +409,9 @@ class ParticleSimulation:
         first_time = min(start_times, default=np.inf)
         if not t < first_time < np.inf:
             return None
-        message = "there are no particles in any frame: the first emitter starts at "
-        message += f"{first_time:g} s, after the last frame, at {t:.3g} s"
-        hint = "times are in seconds from the first frame of the range"
+        message = "no frame has any particles: the first emitter starts at "
+        message += f"{first_time:g} s, but the last frame is at {t:.3g} s"
+        hint = "start it earlier, in seconds from the first frame of the range"
         location = f"emitters[{start_times.index(first_time)}]"
         return warning("SIM188", message, hint, location)
 

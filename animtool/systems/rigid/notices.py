@@ -74,7 +74,7 @@ def depth_notices(
         yield warning("SIM126", message, hint)
     elif max_depth > MAX_OVERLAP * bounding_radius:
         message = f"{pair_text(0)} penetrated each other by up to "
-        message += f"{length_text(max_depth)}: from "
-        message += "several sides, or faster than they separate"
+        message += f"{length_text(max_depth)}: they were pressed from several sides, "
+        message += "or closed faster than they separate"
         hint = "leave room between closing bodies, or use shorter steps"
         yield warning("SIM123", message, hint)

@@ -69,11 +69,11 @@ def apply_ragdoll(take: Take, options: RagdollOptions, context: PassContext) -> 
     if first_index == clock.count - 1 and options.end is None:
         if options.start is None:
             return take
-        message = f"start is frame {frames[-1]:g}, the last: nothing falls"
+        message = f"start is {frames[-1]:g}, the last frame, so nothing falls"
         hint = _start_hint(frames)
         raise OptionError(Fault("SIM062", message, hint=hint, where="start"))
     if last_index <= first_index:
-        message = f"end is frame {frames[last_index]:g}, which is not after start, "
+        message = f"end is {frames[last_index]:g}, which is not after start, "
         message += f"{frames[first_index]:g}"
         raise OptionError(Fault("SIM062", message, where="end"))
     translations, rotations, scales = take.motion.dense()
@@ -187,7 +187,7 @@ def _frame_index(
         return default
     matching_indices = np.flatnonzero(np.abs(frames - frame) < 1e-6)
     if not len(matching_indices):
-        message = f"{option} is frame {frame:g}, but the take has {frames[0]:g} to "
+        message = f"{option} is {frame:g}, but the take has frames {frames[0]:g} to "
         message += f"{frames[-1]:g}"
         hint = _start_hint(frames) if option == "start" else None
         raise OptionError(Fault("SIM062", message, hint=hint, where=option))

@@ -178,11 +178,11 @@ class _SystemBuilder:
         """Warn about pins that start farther from a body than the size of the body."""
         gap, size = bodies.surface_distance(carrier, points)
         if gap > size:
-            message = f"pins of {name} start {length_text(gap)} from the surface of "
-            message += f"{carrier.body!r}, whose points are within {length_text(size)} "
-            message += "of its centre: "
-            message += "it is moved as by a rigid arm"
-            hint = "place the particles at the body, or give the pin an offset"
+            message = f"the pins of {name!r} start {length_text(gap)} from the surface "
+            message += f"of {carrier.body!r}, whose points are within "
+            message += f"{length_text(size)} of its centre: the pins move as if on a "
+            message += "rigid arm"
+            hint = "place the particles on the body, or give the pin an offset"
             self._notices.append(warning("SIM160", message, hint, carrier.where))
 
     def _settle(self, system: SpringSystem) -> SpringSystem:

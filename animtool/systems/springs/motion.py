@@ -166,20 +166,22 @@ def piercing_notices(
     notices = []
     thickness_hint = "use a shorter step, or a larger thickness"
     if piercing.passed:
-        message = f"{counted(piercing.passed, 'particle')} passed through {subject}"
+        particles = counted(piercing.passed, "particle")
+        message = f"{subject} passed through itself at {particles}"
         notices.append(warning("SIM144", message, thickness_hint))
     if piercing.cut:
         pairs = counted(piercing.cut, "pair")
-        message = f"{pairs} of edges cut through each other in {subject}"
+        message = f"{pairs} of edges of {subject} crossed each other"
         notices.append(warning("SIM167", message, thickness_hint))
     if piercing.rate:
-        message = f"parts of {subject} moved past each other by many thicknesses in a "
-        message += "step"
+        message = f"parts of {subject} moved past each other by more than four times "
+        message += "its thickness in one step"
         hint = "use a shorter step"
         if MAX_SUGGESTED_STEP_RATE < piercing.rate < math.inf:
             hint = "no step resolves it: check speeds, lengths and their units"
         elif math.isfinite(piercing.rate):
-            hint = f"{math.ceil(piercing.rate)} steps per second resolve all contacts"
+            hint = f"use {math.ceil(piercing.rate)} steps per second to resolve all "
+            hint += "contacts, or a larger thickness"
         notice = warning("SIM165", message, hint)
         if is_intact and not notices:
             message += ", but nothing intersects in any frame"

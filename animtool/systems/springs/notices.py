@@ -89,10 +89,10 @@ def motion_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
     ]
     if simulation.grid.unresolved_count:
         particles = counted(simulation.grid.unresolved_count, "particle")
-        message = f"{particles} could not be pushed out of colliders at once"
-        hint = f"they keep {length_text(simulation.system.radius)} away (radius), and "
-        hint += "start inside, as below a floor, or colliders close in on them from "
-        hint += "several sides"
+        message = f"{particles} could not be pushed out of colliders in one step"
+        hint = "start outside of colliders, such as above a floor, leave room between "
+        hint += "closing colliders, or reduce the radius "
+        hint += f"({length_text(simulation.system.radius)})"
         notices.append(warning("SIM123", message, hint))
     if simulation.min_applied_fraction < 1:
         fraction = f"{simulation.min_applied_fraction:.0%}"
@@ -110,11 +110,13 @@ def _step_notices(simulation: MotionCounts, stats: Stats) -> list[Fault]:
     limit, h = choice.limit, choice.cell / choice.substeps
     if choice.solver is Solver.SYMPLECTIC_EULER and h > limit:
         message = f"{choice.solver} is not stable with steps of {plain_number(h)} s"
-        hint = f"it is stable up to {plain_number(limit)} s"
+        hint = f"use steps of at most {plain_number(limit)} s"
         notices.append(warning("SIM101", message, hint))
     if stats.status is Status.UNSTABLE:
         message = f"{choice.solver} blew up at {stats.time:.6g} s: {stats.reason}"
-        hint = f"semi-implicit Euler is stable with steps up to {plain_number(limit)} s"
+        hint = "check that masses are in kg and lengths in metres, or use "
+        hint += f"{Solver.SYMPLECTIC_EULER} with steps of at most "
+        hint += f"{plain_number(limit)} s"
         if choice.solver is Solver.SYMPLECTIC_EULER and h <= limit:
             hint = (
                 "the steps are short enough: springs are too soft for the load; raise "
@@ -144,23 +146,23 @@ def _strain_notices(simulation: MotionCounts) -> list[Fault]:
         return [warning("SIM131", message, hint)]
     if simulation.longest > 1 + COMPLIANCE_FACTOR * options.stretch:
         strain = percent_text(COMPLIANCE_FACTOR * options.stretch)
-        message = f"springs are strained by {strain} or more, mostly by their own "
-        message += "compliance: more steps do not change that"
+        message = f"springs stretch by {strain} or more, mostly because they are soft, "
+        message += "so more steps do not help"
         hint = "raise their stiffness, or reduce the attached mass"
         return [Fault("SIM161", message, hint=hint, severity=Severity.NOTE)]
     return []
 
 
-def stretch_warning(strain: float, stiffness: float, prefix: str = "") -> Fault:
+def stretch_warning(strain: float, stiffness: float, owner: str = "") -> Fault:
     """Return a warning about a spring of a stiffness [N/m] that stretches (SIM187)."""
-    message = f"{prefix}springs stretch {percent_text(strain)} beyond their length at "
-    message += "rest"
+    message = f"springs of {owner} stretch" if owner else "springs stretch"
+    message += f" {percent_text(strain)} beyond their rest length"
     hint = "raise the stiffness [N/m] of each spring, or lower the mass [kg]"
     # The strain under a load is inverse to the stiffness.
     needed_stiffness = float(f"{stiffness * strain / GOOD_STRAIN:.0e}")
     if needed_stiffness > 0:
-        message += f": in a row of springs, each of {plain_number(stiffness)} N/m "
-        message += "carries the load"
+        message += f": a stiffness of {plain_number(stiffness)} N/m per spring is too "
+        message += "low for the load"
         hint = f"write stiffness: {needed_stiffness:g} for a stretch of about "
         hint += f"{percent_text(GOOD_STRAIN)}, or lower the mass [kg]"
     return warning("SIM187", message, hint)

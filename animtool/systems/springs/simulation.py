@@ -351,13 +351,13 @@ class SpringSimulation(MotionCounts):
         """Return the settings to compare: solvers with steps around their defaults."""
         return trial_settings(self.system, self.options, self.begin)
 
-    def strain_notices(self, prefix: str = "") -> list[Fault]:
+    def strain_notices(self, owner: str = "") -> list[Fault]:
         """Return a warning if springs that cannot tear were strained a lot (SIM187)."""
         can_tear = np.isfinite(self.system.body.springs.limit).any()
         max_length = MAX_LENGTH_RATIO * (1 + self._initial_strain)
         if can_tear or 1 + self.max_strain <= max_length:
             return []
-        return [stretch_warning(self.max_strain, self._longest_stiffness, prefix)]
+        return [stretch_warning(self.max_strain, self._longest_stiffness, owner)]
 
 
 def as_errors(notices: Sequence[Fault]) -> list[Fault]:

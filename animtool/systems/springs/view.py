@@ -343,7 +343,7 @@ class SpringView:
                 ]
             else:
                 notices += simulation.notices
-                notices += simulation.strain_notices(f"{name}: ")
+                notices += simulation.strain_notices(name)
             notices.append(self._note(int(state.torn.sum())))
         return Diagnostics(values=values, notices=notices)
 

@@ -51,7 +51,7 @@ def samples_text(array: SampledArray, selection: BoolArray | IntArray) -> str:
     """Describe which samples are selected by a mask or indices ``(F,)``."""
     indices = np.flatnonzero(selection) if selection.dtype == np.bool_ else selection
     if not array.is_animated:
-        return "in the default"
+        return "in the default value"
     text = f"at time code {array.times[indices[0]]:g}"
     if len(indices) == 1:
         return text

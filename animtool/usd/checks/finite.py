@@ -64,7 +64,10 @@ def check_splines(checked_stage: CheckedStage) -> Iterator[Fault]:
             continue
         spline = specs[0].GetSpline()
         if spline.HasRegressiveTangents():
-            message = f"tangents of some of its {len(spline.GetKnots())} knots do"
+            message = (
+                f"some of its {len(spline.GetKnots())} knots have tangents so long "
+                "that the curve goes back in time"
+            )
             yield finding("USD274", attr.GetPath(), message)
         # In one layer, samples win; a stronger layer may replace a spline by samples.
         layer, path = specs[0].layer, specs[0].path
@@ -204,7 +207,8 @@ def _attribute_problem(checked_stage: CheckedStage, layer: Any, spec: Any) -> st
     problems = []
     if default is not None and not _is_allowed(checked_stage, spec, default):
         problems.append(
-            f"its default is {_non_finite_number(default)}{_element_index(default)}"
+            f"its default value is {_non_finite_number(default)}"
+            f"{_element_index(default)}"
         )
     path = spec.path
     times = (

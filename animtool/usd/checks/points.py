@@ -13,7 +13,7 @@ from pxr import Usd, UsdGeom
 
 from animtool.core.array_types import FloatArray
 from animtool.core.clock import frame_label
-from animtool.core.errors import Fault
+from animtool.core.errors import Fault, counted
 from animtool.core.rules import finding
 from animtool.usd.caches.reader import UNIT_TOLERANCE, PointReader, time_codes_of
 from animtool.usd.checks.checked_stage import CheckedStage, SampledArray, samples_text
@@ -79,8 +79,8 @@ def _check_topology(
         if has_too_few.any():
             count = points.counts[np.flatnonzero(has_too_few)[0]]
             message = (
-                f"{count} points for faces that refer to {min_points} "
-                f"{samples_text(points, has_too_few)}"
+                f"{counted(count, 'point')} {samples_text(points, has_too_few)}, but "
+                f"the faces refer to point {min_points - 1}"
             )
             yield finding("USD264", attr.GetPath(), message)
             return
@@ -92,8 +92,8 @@ def _check_topology(
     if is_changed.any():
         count = points.counts[np.flatnonzero(is_changed)[0]]
         message = (
-            f"{count} points, but the first sample has {points.counts[0]} "
-            f"{samples_text(points, is_changed)}"
+            f"{counted(count, 'point')} {samples_text(points, is_changed)}, but the "
+            f"first sample has {points.counts[0]}"
         )
         yield finding("USD264", attr.GetPath(), message)
 

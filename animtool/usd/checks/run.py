@@ -59,6 +59,10 @@ _CODES_BY_VALIDATOR = {
     "usdValidation:StageMetadataChecker": "USD259",
     "usdPhysicsValidators:PhysicsJointChecker": "USD270",
 }
+_UNAPPLIED_BINDING = re.compile(
+    r"Found a UsdSkelBinding property \((.*?)\), but no SkelBindingAPI applied on the "
+    r"prim <[^>]*>"
+)
 _CODES_BY_FAMILY = {
     "usdValidation": "USD280",
     "usdGeomValidators": "USD281",

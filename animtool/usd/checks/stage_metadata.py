@@ -163,7 +163,10 @@ def check_range(checked_stage: CheckedStage) -> Iterator[Fault]:
     unauthored_names = [name for name in names if not stage.HasAuthoredMetadata(name)]
     if start > end and not unauthored_names:
         yield finding(
-            "USD254", ROOT_PATH, f"start {frame_label(start)}, end {frame_label(end)}"
+            "USD254",
+            ROOT_PATH,
+            f"startTimeCode ({frame_label(start)}) is after endTimeCode "
+            f"({frame_label(end)})",
         )
         return
     spans = {

@@ -150,7 +150,7 @@ def _check_manifest(
     asset = clip_set.get("manifestAssetPath")
     if asset is None or not asset.path:
         if layers:
-            message = "no manifest: every clip is opened to find its attributes"
+            message = "there is no manifest, so every clip is opened to find attributes"
             yield finding("USD279", location, message)
         return
     manifest = _open_layer(prim, asset)
@@ -166,7 +166,8 @@ def _check_manifest(
     )
     if undeclared_names:
         message = (
-            f"the manifest does not list {len(undeclared_names)} that clips have: "
+            f"the manifest lacks {counted(len(undeclared_names), 'attribute')} of the "
+            "clips: "
         )
         message += listed(undeclared_names)
         yield finding("USD279", location, message)

@@ -90,10 +90,10 @@ def read_joint(
         source.add_notice(prim, "joins no supported body")
         return None
     if bodies[0] == bodies[1]:
-        source.add_notice(prim, "joins a body to itself: skipped")
+        source.add_notice(prim, "joins a body to itself and is skipped")
         return None
     if not any(is_dynamic[body] for body in bodies if body >= 0):
-        source.add_notice(prim, "joins no dynamic body: skipped")
+        source.add_notice(prim, "joins no dynamic body and is skipped")
         return None
     limits, swing = _joint_limits(source, prim, kind)
     return PhysicsJoint(

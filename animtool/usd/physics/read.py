@@ -90,7 +90,7 @@ def read_shapes(
             is_hull = str(approximation) == "convexHull"
             points, triangles = _read_mesh(source, prim, scale)
             if not len(triangles):
-                source.add_notice(prim, "is a mesh without faces: skipped")
+                source.add_notice(prim, "is a mesh without faces and is skipped")
                 return
         case type_name:
             source.add_notice(
@@ -100,7 +100,7 @@ def read_shapes(
     if not all(
         0 < side < MAX_NUMBER for side in sizes if shape_kind != "capsule" or side
     ):
-        source.add_notice(prim, f"has a size of {list(sizes)} m: skipped")
+        source.add_notice(prim, f"has a size of {list(sizes)} m and is skipped")
         return
     axis_rotation = so3.IDENTITY
     if type_name in TYPES_WITH_AXIS:
@@ -215,7 +215,7 @@ def _read_stage(source: PhysicsStage, root: Any) -> Physics:
     ]
     shaped_indices = [k for k, body in enumerate(bodies) if body.shapes]
     for k in sorted(set(range(len(body_prims))) - set(shaped_indices)):
-        source.add_notice(body_prims[k], "has no supported shape: skipped")
+        source.add_notice(body_prims[k], "has no supported shape and is skipped")
     if not shaped_indices:
         message = (
             f"{counted(len(body_prims), 'rigid body', 'rigid bodies')}, but no shape "

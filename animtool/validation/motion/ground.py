@@ -192,14 +192,14 @@ def _sunk_foot_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[
         return
     max_depth, column, first_frame, last_frame = max(sunk_runs)
     joint = int(contacts.feet[column])
-    foot_text = "it" if contacts.has_same_height[column] else "the other one"
+    foot_text = "the foot" if contacts.has_same_height[column] else "the other foot"
     message = (
         f"{subject.take.rig.joints[joint].name!r} is up to {max_depth:.3g} m below the "
         f"ground from frame {subject.time_text(first_frame)} to "
-        f"{subject.time_text(last_frame)}; the ground "
-        f"is at the height of {foot_text} in other frames, {ground[column]:.3g} m"
+        f"{subject.time_text(last_frame)}; the ground, at {ground[column]:.3g} m, is "
+        f"taken from the height of {foot_text} in other frames"
     )
-    hint = "lift the root there, or hold the foot with IK"
+    hint = "raise the root there, or hold the foot with IK"
     yield subject.fault("MOT209", joint, first_frame, message, hint)
 
 
@@ -249,8 +249,8 @@ def _floating_fault(subject: MotionSubject, contacts: FootStances) -> Iterator[F
         message = (
             f"no foot is closer than {min_height:.3g} m to the ground from frame "
             f"{subject.time_text(first)} to {subject.time_text(last_frame)}, for "
-            f"{seconds:.2g} s; "
-            f"the ground is at their height in other frames, {ground:.3g} m"
+            f"{seconds:.2g} s; the ground, at {ground:.3g} m, is taken from the height "
+            "of the feet in other frames"
         )
         hint = "lower the root there; no jump lasts that long"
         yield subject.fault("MOT209", joint, first, message, hint)

@@ -41,9 +41,11 @@ def samples_off_frames(subject: MotionSubject) -> Iterator[Fault]:
         is_misaligned = is_off_frame
     if is_misaligned.any():
         farthest_sample = int(np.where(is_misaligned, np.abs(offsets), 0.0).argmax())
+        count = np.count_nonzero(is_misaligned)
         message = (
-            f"{np.count_nonzero(is_misaligned)} of {len(time_codes)} samples are off "
-            f"the frame, by up to {abs(offsets[farthest_sample]):.3g} time codes, at "
+            f"{count} of {len(time_codes)} samples {'is' if count == 1 else 'are'} not "
+            "on a whole time code; the largest offset is "
+            f"{abs(offsets[farthest_sample]):.3g}, at "
             f"{time_codes[farthest_sample]:.10g}"
         )
     else:
@@ -52,8 +54,8 @@ def samples_off_frames(subject: MotionSubject) -> Iterator[Fault]:
         if not is_integral.all() or abs(offsets[0]) <= TIME_CODE_ROUNDING:
             return
         farthest_sample = 0
-        message = f"all samples are {offsets[0]:+.3g} time codes off the frame"
-    hint = "write them at whole time codes, where other tools sample"
+        message = f"all samples are off whole time codes by {offsets[0]:+.3g}"
+    hint = "write samples at whole time codes, where other tools read them"
     yield subject.fault("MOT216", None, farthest_sample, message, hint)
 
 

@@ -261,5 +261,6 @@ def props_out_of_time(subject: SceneSubject) -> Iterator[Fault]:
 def unused_variables(subject: SceneSubject) -> Iterator[Fault]:
     """Report unused variables (SCN209)."""
     for name in sorted(subject.scene.unused_variables):
-        message = f"no text of the scene uses ${{{name}}}"
-        yield subject.fault("SCN209", ("variables", name), message, "remove it")
+        message = f"nothing in the scene uses ${{{name}}}"
+        hint = "remove this variable"
+        yield subject.fault("SCN209", ("variables", name), message, hint)

@@ -237,7 +237,7 @@ def test_opensim_reads_what_is_written(tmp_path: Path) -> None:
         (
             ("", ""),
             f"{ROWS}8\t.07\t1\t2\t3\t4\t5\t6\n",
-            "5 missing frames (0.05 s) before line 9; markers are missing there",
+            "5 frames (0.05 s) are missing before line 9",
         ),
     ],
 )

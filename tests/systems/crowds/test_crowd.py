@@ -569,8 +569,8 @@ def test_who_fell_stays_and_who_left_is_out(
 @pytest.mark.parametrize(
     ("x", "message"),
     [
-        (5.0, "inside the collider 'block', 1 m deep"),
-        (3.95, "50 mm from the collider 'block', nearer than the radius"),
+        (5.0, "1 m inside the collider 'block'"),
+        (3.95, "50 mm from the collider 'block', less than the agents' radius"),
         (0.0, None),
     ],
 )

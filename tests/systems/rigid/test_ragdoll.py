@@ -221,8 +221,8 @@ def test_joints_below_the_last_body_go_on() -> None:
 @pytest.mark.parametrize(
     ("options", "words"),
     [
-        ({"start": 99.0}, "start is frame 99, but the take has 1 to 25"),
-        ({"start": 25.0}, "start is frame 25, the last: nothing falls"),
+        ({"start": 99.0}, "start is 99, but the take has frames 1 to 25"),
+        ({"start": 25.0}, "start is 25, the last frame, so nothing falls"),
         ({"start": 3.5}, "start"),
         ({"start": 9.0, "end": 9.0}, "which is not after start"),
         ({"mass": 0.0}, "mass"),

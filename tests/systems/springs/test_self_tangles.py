@@ -195,7 +195,7 @@ def test_what_is_too_fast_is_said_with_the_steps_that_it_takes() -> None:
     system.state[1, 3:, 2] = -50.0
     fast = simulate_springs(system, [0, 0.01], SpringOptions("xpbd", 1 / 240))
     (notice,) = (one for one in fast.notices if one.code == "SIM165")
-    rate = int((notice.hint or "").split()[0])
+    rate = int((notice.hint or "").split()[1])
     assert rate == pytest.approx(50 / (4 * 0.02), abs=2)
     system.state[1, 3:, 2] = -50.0
     enough = simulate_springs(system, [0, 0.01], SpringOptions("xpbd", 1 / (rate + 1)))

@@ -808,4 +808,4 @@ def test_ropes_that_stretch_while_they_settle(
     report = bake(written(tmp_path, text), tmp_path / "a.usda")
     faults = [notice for notice in report.notices if notice.code == "SIM187"]
     assert len(faults) == found
-    assert all("each of 33 N/m carries" in fault.message for fault in faults)
+    assert all("a stiffness of 33 N/m" in fault.message for fault in faults)

@@ -298,7 +298,7 @@ def test_small_strains_are_written_with_their_digits() -> None:
     hung = SpringSystem(soft, pins=Pins([0, 11]), drag=1.0)
     (notice,) = simulate_springs(hung, [0, 1], SpringOptions("xpbd")).notices
     assert notice.code == "SIM161"
-    assert notice.message.startswith("springs are strained by 2% or more, mostly")
+    assert notice.message.startswith("springs stretch by 2% or more, mostly")
 
 
 def test_the_damping_of_a_soft_spring_asks_for_no_more_steps() -> None:

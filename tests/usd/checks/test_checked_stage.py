@@ -68,7 +68,7 @@ def test_a_sample_is_read_once() -> None:
 @pytest.mark.parametrize(
     ("times", "bad", "text"),
     [
-        ([np.nan], [0], "in the default"),
+        ([np.nan], [0], "in the default value"),
         ([1.0, 2.5], [1], "at time code 2.5"),
         ([1.0, 2.0, 3.0], [1, 2], "in 2 of 3 samples, first at time code 2"),
     ],

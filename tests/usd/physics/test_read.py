@@ -146,7 +146,7 @@ def test_bodies_without_a_shape_that_is_read_are_refused_by_its_type(
     ("old", "new", "joints", "said"),
     [
         ("</Yard/crate>", "</Yard/stone>", 2, "itself"),
-        ("Enabled = 0", "Enabled = 1", 2, "joins no dynamic body: skipped"),
+        ("Enabled = 0", "Enabled = 1", 2, "joins no dynamic body and is skipped"),
         ("Limit = -30", "Limit = 60", 3, "above its upper"),
         ("Limit = 40", "Limit = 400", 3, "more than 360 degrees"),
         ("restitution = 0.25", "restitution = 7", 3, "restitution 7"),
