@@ -133,7 +133,7 @@ def test_ties_of_ties_are_of_the_joint_that_moves(tmp_path: Path) -> None:
         ("<site", "<sit", "MJC008", "unrecognized element"),
         ("<site", '<attach model="m" body="b" prefix="p"/><site', "MJC009", "attach"),
         ("<worldbody>", '<include file="none.xml"/><worldbody>', "MJC006", "none.xml"),
-        ("<worldbody>", '<include file="../x.xml"/><worldbody>', "MJC006", "outside of"),
+        ("<worldbody>", '<include file="../x.xml"/><worldbody>', "MJC006", "outside"),
         ("<worldbody>", '<include file="arm.xml"/><worldbody>', "MJC006", "itself"),
         ("</mujoco>", '<equality><joint joint1="c" joint2="one"/><joint joint1="one" '
          'joint2="c"/></equality></mujoco>', "MJC010", "ring: c → one → c"),
