@@ -72,7 +72,7 @@ def test_what_starts_inside_is_to_be_moved() -> None:
             meter.measure(first, SHEET + 9 * ALONG, sides(SHEET), [CUBE])
         meter.measure(0.0, SHEET, sides(SHEET), [CUBE])
         notice = meter.notices("the sheet")[0]
-        assert notice.message.startswith("the sheet is 100 mm deep")
+        assert notice.message.startswith("the sheet is 100 mm inside a collider")
         assert hint in (notice.hint or "")
 
 
