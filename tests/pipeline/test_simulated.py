@@ -55,7 +55,7 @@ def points(path: Path, name: str) -> np.ndarray:
 def test_usd_plays_a_tail(beast: Path) -> None:
     done = animtool("bake", beast, "--strict")
     assert done.code == 0, done.stderr
-    assert ":4:13: note: SIM130 passes[0].simulate: tail: " in done.stderr
+    assert ":4:13: note: SIM130 passes[0].simulate: tail " in done.stderr
     done = animtool("bake", beast, "--overwrite", "--format", "json")
     (report,) = json.loads(done.stdout)["simulated"]
     assert (report["name"], report["status"]) == ("tail", "ok")
