@@ -34,9 +34,12 @@ def half_size_notices(bodies: RigidBodies, colliders: Colliders) -> list[Fault]:
     for i in free.tolist():
         kind, pose = bodies.kind_of(i), bodies.poses[i].at(bodies.begin)
         points, radius = _core_points(kind, pose)
-        distances = ground.as_solids.sample(points, bodies.begin).distances
-        body_gaps.append(float(distances.min()) - radius)
-        body_heights.append(float(np.ptp(points[:, 1])) + 2.0 * radius)
+        samples = ground.as_solids.sample(points, bodies.begin)
+        nearest = np.unravel_index(samples.distances.argmin(), samples.distances.shape)
+        body_gaps.append(float(samples.distances[nearest]) - radius)
+        # Any axis may be up.
+        height = np.ptp(points @ samples.normals[nearest])
+        body_heights.append(float(height) + 2.0 * radius)
     gaps, heights = np.array(body_gaps), np.array(body_heights)
     near = np.flatnonzero(gaps <= (0.5 + TOLERANCE) * heights)
     is_half = np.abs(gaps - heights / 2) <= TOLERANCE * heights

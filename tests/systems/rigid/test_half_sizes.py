@@ -45,3 +45,20 @@ def test_half_extents(
     path.write_text(SCENE.format(bodies="\n".join(rows)), "utf-8")
     hints = [str(fault.hint) for fault in validate(path) if fault.code == "SIM200"]
     assert [hint.partition("write ")[2] for hint in hints] == [written] * bool(written)
+
+
+def test_height_is_that_above_the_ground_whatever_is_up(tmp_path: Path) -> None:
+    box = (
+        "    - {{name: b{k}, shape: {{box: {{size: [0.1, 0.1, 0.3]}}}}, "
+        "at: [{k}, 0, {z}]}}"
+    )
+    codes = []
+    for z in (0.3, 0.2):  # half of its height above the ground; half of its width
+        rows = "\n".join(box.format(k=k, z=z) for k in range(3))
+        text = SCENE.format(bodies=rows).replace(
+            "plane: ", "plane: {normal: [0, 0, 1]}"
+        )
+        path = tmp_path / "row.scene.yaml"
+        path.write_text(text, "utf-8")
+        codes.append([f.code for f in validate(path) if f.code == "SIM200"])
+    assert codes == [["SIM200"], []]
