@@ -334,9 +334,9 @@ class RowReader:
         for column, lines in sorted(lines_by_column.items())[:MAX_LISTED_CHANNELS]:
             count_text = "1 value is" if len(lines) == 1 else f"{len(lines)} values are"
             message = f"{self.source.channels[column]}: {count_text} {problem}, on "
-            message += f"line {listed(lines, 10)}"
+            message += f"line{'s' * (len(lines) > 1)} {listed(lines, 10)}"
             self._warn(code, message, lines[:10], hint)
         if len(lines_by_column) > MAX_LISTED_CHANNELS:
             count = len(lines_by_column) - MAX_LISTED_CHANNELS
-            message = f"{count} more channels have values {problem}"
+            message = f"{count} more channels have values that are {problem}"
             self._warn(code, message, [], hint)
